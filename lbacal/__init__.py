@@ -26,8 +26,12 @@ from lbacal_core.errors import MissingExtraError
 _MODULES = {
     "analysis.instrument": ("Antenna", "Instrument", "Site"),
     "chain": ("Chain", "Stage"),
+    "analysis.audit": ("Audit", "audit"),
+    "analysis.budget": ("ErrorBudget", "budget"),
     "analysis.data": ("import_data", "read", "simulate"),
     "analysis.fit": ("Calibration", "fit"),
+    "analysis.investigate": ("Finding", "Investigation", "investigate"),
+    "analysis.lst_curve": ("LstComparison", "lst_curve"),
 }
 ANALYSIS = {name: module for module, names in _MODULES.items() for name in names}
 """What needs the extra `fit`, by its name, with the module that is imported when it is asked for."""

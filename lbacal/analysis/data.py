@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -14,7 +15,8 @@ from astropy.table import QTable
 from matplotlib.figure import Figure
 
 from lbacal.analysis.instrument import Described, core_of, simulation_of
-from lbacal.analysis.result import Result, Row, Writer
+from lbacal.analysis.result import Result
+from lbacal.averaging import average_data
 from lbacal.calibration_files import holds_curves, read_calibrations
 from lbacal.chain import convert_number
 from lbacal.client import format_time, make_table
@@ -26,81 +28,81 @@ from lbacal.selection import (
     parse_selection,
     read_selected,
 )
-from lbacal_core.errors import BadInputError, MissingExtraError
-from lbacal_core.readers.open import choose_channels, open_source
-from lbacal_core.readers.source import Averaged
-from lbacal_core.readers.source import average as average_source
+from lbacal_core.errors import MissingExtraError
+from lbacal_core.grids import Floats
 from lbacal_core.spectra.spectra import Spectra, write_spectra
 
-DEFAULT_INTERVAL_S = 900.0
-"""What one spectrum of `import_data` averages."""
 PATH_COLUMNS = ("station", "antenna", "dipole", "frequency_mhz", "c")
 
 
 @dataclass(frozen=True, repr=False)
-class BackgroundSpectra(Result, Spectra):
+class BackgroundSpectra(Spectra):
     """Background spectra, as `lbacal_core` has them, that print, are drawn and are saved.
 
     Attributes
     ----------
-    remarks
+    notes
         What there is to know of their making, a sentence each.
     truth
         C of every path, of spectra that were simulated; None of others.
     """
 
-    remarks: Sequence[str] = ()
+    notes: Sequence[str] = ()
     truth: QTable | None = None
 
     @classmethod
     def of(cls, spectra: Spectra, **more: Any) -> Self:
         """The same spectra."""
         made = cls.__new__(cls)
-        vars(made).update({"remarks": (), "truth": None, **vars(spectra), **more})
+        vars(made).update({"notes": (), "truth": None, **vars(spectra), **more})
         return made
 
     @property
-    def title(self) -> str:
-        """How many, and of when."""
-        return Spectra.__repr__(self).removeprefix("<Spectra: ").removesuffix(">")
-
-    @property
-    def rows(self) -> Sequence[Row]:
-        """A row a station and dipole."""
+    def shown(self) -> Result:
+        """How many there are of which station and dipole, and their power along frequency."""
         names = sorted(set(zip(self.station.tolist(), self.dipole.tolist(), strict=True)))
         own = {name: (self.station == name[0]) & (self.dipole == name[1]) for name in names}
-        return [
-            ("station", "dipole", "antennas", "events", "spectra"),
-            *(
-                (*name, *(str(np.unique(column[at]).size) for column in (self.antenna, self.event_id)), str(at.sum()))
-                for name, at in own.items()
-            ),
-        ]
+        counted = {
+            name: (np.unique(self.antenna[at]).size, np.unique(self.event_id[at]).size, at.sum())
+            for name, at in own.items()
+        }
+        powers = {" ".join(name): self.power[at] for name, at in own.items()}
+        return Result(
+            title=Spectra.__repr__(self).removeprefix("<Spectra: ").removesuffix(">"),
+            rows=[
+                ("station", "dipole", "antennas", "events", "spectra"),
+                *((*name, *map(str, counts)) for name, counts in counted.items()),
+            ],
+            words=2,
+            notes=self.notes,
+            draw=lambda: self.plot(Figure(layout="constrained").subplots()),
+            draw_on=partial(_draw_powers, frequency_mhz=self.frequency_mhz, powers=powers),
+            more=dict.fromkeys(SUFFIXES, partial(write_spectra, self)),
+        )
 
-    @property
-    def notes(self) -> Sequence[str]:
-        """What there is to know of their making."""
-        return self.remarks
-
-    def draw(self) -> Figure:
+    def plot(self, ax: Any = None) -> Figure:
         """Median power of each station and dipole along frequency, with the range of 68 % of the spectra."""
-        figure = Figure(layout="constrained")
-        self.draw_on(figure.subplots())
-        return figure
+        return self.shown.plot(ax)
 
-    def draw_on(self, axes: Any) -> None:
-        """The same on axes."""
-        for station, dipole in sorted(set(zip(self.station.tolist(), self.dipole.tolist(), strict=True))):
-            own = self.power[(self.station == station) & (self.dipole == dipole)]
-            low, middle, high = np.percentile(own, [15.87, 50, 84.13], axis=0)
-            (line,) = axes.plot(self.frequency_mhz, middle, label=f"{station} {dipole}, median")
-            axes.fill_between(self.frequency_mhz, low, high, color=line.get_color(), alpha=0.2, lw=0)
-        axes.set(xlabel="frequency (MHz)", ylabel="power (ADC²/Ω/MHz)", yscale="log")
-        axes.legend(fontsize=8, frameon=False)
+    def save(self, path: str | Path) -> None:
+        """Write a spectra file (.h5), a figure or a page."""
+        self.shown.save(path)
 
-    def writers(self) -> dict[str, Writer]:
-        """A spectra file or a figure."""
-        return {**dict.fromkeys(SUFFIXES, lambda path: write_spectra(self, path)), **super().writers()}
+    def __repr__(self) -> str:
+        """The title, and a row a station and dipole."""
+        return repr(self.shown)
+
+    def _repr_html_(self) -> str:
+        return self.shown._repr_html_()
+
+
+def _draw_powers(axes: Any, frequency_mhz: Floats, powers: Mapping[str, Floats]) -> None:
+    for name, power in powers.items():
+        low, middle, high = np.percentile(power, [15.87, 50, 84.13], axis=0)
+        (line,) = axes.plot(frequency_mhz, middle, label=f"{name}, median")
+        axes.fill_between(frequency_mhz, low, high, color=line.get_color(), alpha=0.2, lw=0)
+    axes.set(xlabel="frequency (MHz)", ylabel="power (ADC²/Ω/MHz)", yscale="log")
+    axes.legend(fontsize=8, frameon=False)
 
 
 def spectra_of(data: Spectra | str | Path) -> Spectra:
@@ -173,44 +175,13 @@ def import_data(
     >>> spectra = lbacal.import_data("zen.uvh5", average=60, channel=1, band=(50, 200))  # doctest: +SKIP
     >>> spectra.save("S.h5")  # doctest: +SKIP
     """
-    if instrument is not None and channel is not None:
-        raise BadInputError("import_data", "instrument or channel", "both")
-    if events and average is not None:
-        raise BadInputError("import_data", "average or events", "both")
     interval, width = (
-        None if value is None else require_positive(name, convert_number(value, unit))
-        for name, value, unit in (("average", average, u.s), ("channel", channel, u.MHz))
+        None if value is None else convert_number(value, unit) for value, unit in ((average, u.s), (channel, u.MHz))
     )
-    interval = None if events else interval or DEFAULT_INTERVAL_S
-    opened = open_source(Path(source), station)
     limits = None if band is None else (convert_number(band[0], u.MHz), convert_number(band[1], u.MHz))
-    chosen = choose_channels(opened, None if instrument is None else core_of(instrument), limits, width)
-    result = average_source(opened, interval, chosen)
-    return BackgroundSpectra.of(result.spectra, remarks=(*opened.notes, *_describe_average(result, interval)))
-
-
-def require_positive(name: str, value: float) -> float:
-    """Refuse a number that is not above 0."""
-    if not 0 < value < np.inf:
-        raise BadInputError(name, "a number > 0", f"{value:g}")
-    return value
-
-
-def _describe_average(result: Averaged, interval_s: float | None) -> Iterator[str]:
-    """What was left out, and what remains, a sentence each."""
-    if result.channels_left_out.size:
-        low, high = result.channels_left_out[[0, -1]]
-        yield f"{result.channels_left_out.size} channels between {low:g} and {high:g} MHz are flagged, left out"
-    if result.spectra_left_out:
-        yield f"{result.spectra_left_out} spectra lack one of the other channels, left out"
-    for flag, count in result.flags.items():
-        yield f"{count} spectra are flagged {flag!r}: the file keeps them, fits leave them out"
-    spectra, channels = result.spectra, result.spectra.frequency_mhz
-    of_what = "events" if interval_s is None else f"intervals of {interval_s:g} s"
-    yield (
-        f"{len(spectra)} spectra, {np.unique(spectra.event_id).size} {of_what} from {result.integrations} "
-        f"integrations, {channels.size} channels from {channels[0]:g} to {channels[-1]:g} MHz"
-    )
+    core = None if instrument is None else core_of(instrument)
+    spectra, notes = average_data(Path(source), interval, core, width, limits, station, is_event_each=events)
+    return BackgroundSpectra.of(spectra, notes=notes)
 
 
 def simulate(

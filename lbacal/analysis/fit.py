@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property, partial
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from lbacal.analysis.data import spectra_of
 from lbacal.analysis.instrument import Described, simulation_of
-from lbacal.analysis.result import Result, Row, Writer
+from lbacal.analysis.result import Result
 from lbacal.calibration_files import FORMATS, complete_curves, write_calibrations
 from lbacal.client import make_table
 from lbacal.curve_table import CurveTable
@@ -38,25 +38,26 @@ SCOPES = ("antenna", "station", "array")
 """What one curve may belong to."""
 SHOWN_NAMES = 12
 NEXT_STEP = "lbacal.investigate(spectra, instrument).save('R.html')"
+"""What to do where a curve is a misfit; the command says it in its own words."""
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, kw_only=True)
 class Calibration(Result):
     """What a fit found: a curve C(nu) for each path, station or the array, as `report` has them.
 
-    ``found["S1", 3, "E"]`` is one curve as a table with units, with `mean` and `at`; `table` has all of them.
+    ``found["S1", 3, "E"]`` is one curve as a table with units, with `mean` and `at`; `table` has all of them, one row a
+    curve and channel, with the columns of `lbacal.effective`.
 
     Attributes
     ----------
-    next_step
-        What to run where a curve is a misfit, as it is printed.
+    error
+        The error of C for one event on one antenna, and for the mean; None where no curve has values.
     """
 
     report: FitReport
-    simulation: Simulation = field(repr=False)
-    spectra: Spectra = field(repr=False)
-    next_step: str = NEXT_STEP
-    fallback = ".ecsv"
+    simulation: Simulation
+    spectra: Spectra
+    error: ErrorOfC | None
 
     @property
     def instrument(self) -> Instrument:
@@ -67,45 +68,6 @@ class Calibration(Result):
     def converged(self) -> list[CalibrationCurve]:
         """The curves that converged and are no misfit."""
         return [curve for curve in self.report.curves if curve.status == CONVERGED]
-
-    @property
-    def title(self) -> str:
-        """How many curves converged."""
-        return f"{self.instrument.name}: {len(self.converged)} of {len(self.report.curves)} curves converged"
-
-    @property
-    def rows(self) -> Sequence[Row]:
-        """A row a curve, or a station and polarisation where there are many."""
-        return tabulate_curves(self.report.curves)
-
-    @cached_property
-    def error(self) -> ErrorOfC | None:
-        """The error of C for one event on one antenna, and for the mean; None where no curve has values."""
-        return measure_error(self.report, self.spectra, self.simulation)
-
-    @property
-    def notes(self) -> Sequence[str]:
-        """The error of C, what chi2 says, and what else there is to know."""
-        has_values = any(curve.c is not None for curve in self.report.curves)
-        return [
-            *([] if self.error is None else [describe_error(self.error)]),
-            *([explain_chi2(self.report.curves)] if has_values else []),
-            *_describe_rest(self),
-        ]
-
-    @property
-    def content(self) -> Mapping[str, Any]:
-        """The curves that have values with covariances and budgets, as a calibration file holds them."""
-        made_for = self.simulation.sky_power.made_for
-        made_with = describe_made_with(self.instrument, None if made_for is None else made_for.as_dict())
-        return complete_curves(self.report.as_dict() | made_with, Path("fit"))
-
-    @cached_property
-    def table(self) -> CurveTable:
-        """All curves that have values, one row a curve and channel, with the columns of `lbacal.effective`."""
-        table = make_table(dict(self.content))
-        table.meta["status"] = {curve.name: curve.status for curve in self.report.curves}
-        return table
 
     def __getitem__(self, key: Any) -> CurveTable:
         """C of one curve: (station, antenna, dipole), (station, dipole) or (dipole,) by what was fitted."""
@@ -121,31 +83,6 @@ class Calibration(Result):
                 return rows
         names = [curve.name for curve in self.report.curves]
         raise UnknownNameError("curve", " ".join(str(part) for part in wanted), names[:SHOWN_NAMES])
-
-    def draw(self) -> Figure:
-        """C with its errors, residuals, noise terms and chi^2 of every dipole."""
-        maps = average_residuals(self.spectra, self.report.curves, self.simulation)
-        return draw_fit(self.report, maps, self.simulation)
-
-    def draw_on(self, axes: Any) -> None:
-        """C with its errors, the median of the curves of each dipole."""
-        draw_c(axes, self.report.curves)
-
-    def page(self) -> str:
-        """Table, figure and budget."""
-        sentences = [] if self.error is None else [describe_error(self.error)]
-        return draw_page(self.report, self.draw(), self.spectra.origin, sentences)
-
-    def writers(self) -> dict[str, Writer]:
-        """Calibration files, a page, figures."""
-        return {
-            **{suffix: partial(_write_curves, self, kind) for suffix, kind in FORMATS.items()},
-            **super().writers(),
-        }
-
-
-def _write_curves(found: Calibration, kind: str, path: Path) -> None:
-    write_calibrations(found.content, path, kind)
 
 
 def fit(
@@ -197,23 +134,60 @@ def fit(
     audited.require_power(measured.origin)
     tell(f"fit {len(measured)} spectra")
     report = widen_by_open_terms(calibrate(measured, simulation, scope), extension.left_open)
-    return Calibration(audited.mark(report), simulation, measured)
+    report = audited.mark(report)
+    tell("error of one event")
+    error = measure_error(report, measured, simulation)
+    sentences = [] if error is None else [describe_error(error)]
+    explained = [explain_chi2(report.curves)] if any(curve.c is not None for curve in report.curves) else []
+    counted = sum(curve.status == CONVERGED for curve in report.curves)
+    content = partial(_content_of, report, simulation)
+    draw = partial(_draw, report, simulation, measured)
+    return Calibration(
+        title=f"{simulation.instrument.name}: {counted} of {len(report.curves)} curves converged",
+        rows=tabulate_curves(report.curves),
+        notes=[*sentences, *explained, *_describe_rest(report, simulation, len(measured))],
+        draw=draw,
+        draw_on=partial(draw_c, curves=report.curves),
+        as_dict=content,
+        as_table=lambda: make_table(dict(content())),
+        page=lambda: draw_page(report, draw(), measured.origin, sentences),
+        more={suffix: partial(_write_curves, content, kind) for suffix, kind in FORMATS.items()},
+        fallback=".ecsv",
+        report=report,
+        simulation=simulation,
+        spectra=measured,
+        error=error,
+    )
 
 
-def _describe_rest(found: Calibration) -> Iterator[str]:
+def _content_of(report: FitReport, simulation: Simulation) -> Mapping[str, Any]:
+    """The curves that have values with covariances and budgets, as a calibration file holds them."""
+    made_for = simulation.sky_power.made_for
+    made_with = describe_made_with(simulation.instrument, None if made_for is None else made_for.as_dict())
+    return complete_curves(report.as_dict() | made_with, Path("fit"))
+
+
+def _write_curves(content: Callable[[], Mapping[str, Any]], kind: str, path: Path) -> None:
+    write_calibrations(content(), path, kind)
+
+
+def _draw(report: FitReport, simulation: Simulation, spectra: Spectra) -> Figure:
+    return draw_fit(report, average_residuals(spectra, report.curves, simulation), simulation)
+
+
+def _describe_rest(report: FitReport, simulation: Simulation, spectra: int) -> Iterator[str]:
     """What else there is to know: inputs, anomalous power, misfits, curves without values, and reference chains."""
-    report = found.report
     for name, note in report.provenance.notes.items():
         yield f"{name}: {note}"
     anomalies = Anomalies.of(report.anomalies)
     if anomalies.worst:
         yield (
-            f"anomalous power: {anomalies.left_out} of {len(found.spectra)} spectra left out, {anomalies.fitted} "
+            f"anomalous power: {anomalies.left_out} of {spectra} spectra left out, {anomalies.fitted} "
             f"fitted; worst: {anomalies.name_worst(3)}"
         )
     misfits = [curve for curve in report.curves if curve.status == MISFIT]
     if misfits:
-        yield f"{_describe_misfits(misfits, is_own_sky=bool(found.simulation.is_own_sky))}; next: {found.next_step}"
+        yield f"{_describe_misfits(misfits, is_own_sky=bool(simulation.is_own_sky))}; next: {NEXT_STEP}"
     for curve in report.curves:
         if curve.c is None:
             needed = f", {LEAST_COVERAGE:.2f} needed" if curve.lst_coverage < LEAST_COVERAGE else ""

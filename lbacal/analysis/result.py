@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from dataclasses import dataclass, field
+from functools import cached_property, partial
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,48 +27,48 @@ TABLES = {".ecsv": "ascii.ecsv", ".csv": "ascii.csv", ".fits": "fits", ".h5": "h
 """What astropy calls the format of a table, by the end of its name."""
 
 
-class Result(ABC):
-    """What a verb found: a title, rows of text below a head, notes and a figure.
+@dataclass(frozen=True, repr=False, kw_only=True)
+class Result:
+    """What a verb found.
 
     Attributes
     ----------
+    title
+        What it is, in a few words.
+    rows
+        The head and the rows that are printed.
     words
-        How many columns of the rows are words, from the first on; the others are numbers.
+        How many of their columns are words, from the first on; the others are numbers.
+    notes
+        What else there is to know, a sentence each.
+    draw, draw_on
+        Make a figure of all that there is to see; draw what matters most on axes.
+    as_table, as_dict, page
+        Make a table of its numbers, with units; its content as JSON values; an HTML page. None where there is none.
+    more
+        What writes it in further formats, by the end of a name.
     fallback
         As which it is written into what is no file, such as /dev/stdout.
     """
 
-    words = 1
-    fallback = ".json"
+    title: str
+    rows: Sequence[Row]
+    draw: Callable[[], Figure]
+    draw_on: Callable[[Any], object]
+    words: int = 1
+    notes: Sequence[str] = ()
+    as_table: Callable[[], QTable] | None = None
+    as_dict: Callable[[], Mapping[str, Any]] | None = None
+    page: Callable[[], str] | None = None
+    more: Mapping[str, Writer] = field(default_factory=dict)
+    fallback: str = ".json"
 
-    @property
-    @abstractmethod
-    def title(self) -> str:
-        """What it is, in a few words."""
-
-    @property
-    @abstractmethod
-    def rows(self) -> Sequence[Row]:
-        """The head and the rows that are printed."""
-
-    @property
-    def notes(self) -> Sequence[str]:
-        """What else there is to know, a sentence each."""
-        return ()
-
-    @abstractmethod
-    def draw(self) -> Figure:
-        """Everything there is to see."""
-
-    @abstractmethod
-    def draw_on(self, axes: Any) -> None:
-        """What matters most."""
-
-    def page(self) -> str:
-        """An HTML page."""
-        from lbacal.pages.report import embed, fill_report
-
-        return fill_report("result.html", title=self.title, rows=self.rows, notes=self.notes, figure=embed(self.draw()))
+    @cached_property
+    def table(self) -> QTable:
+        """Its numbers with units."""
+        if self.as_table is None:
+            raise AttributeError(f"{type(self).__name__} has no table")
+        return self.as_table()
 
     @property
     def lines(self) -> list[str]:
@@ -83,22 +83,43 @@ class Result(ABC):
         figure: Figure = ax.figure
         return figure
 
-    def writers(self) -> dict[str, Writer]:
-        """What writes it, by the end of a name."""
-        return {
-            ".html": lambda path: path.write_text(self.page(), encoding="utf-8"),
-            **dict.fromkeys(IMAGES, lambda path: self.draw().savefig(path, dpi=150)),
-        }
-
     def save(self, path: str | Path) -> None:
         """Write it in the format that the end of the name says; a file of that name is replaced when all went well."""
-        file, writers = Path(path), self.writers()
+        writers: dict[str, Writer] = {}
+        if self.as_dict is not None:
+            writers[".json"] = self._write_json
+        if self.as_table is not None:
+            writers |= {suffix: partial(self._write_table, kind=kind) for suffix, kind in TABLES.items()}
+        writers |= {**self.more, ".html": self._write_page, **dict.fromkeys(IMAGES, self._write_figure)}
+        file = Path(path)
         is_stream = file.exists() and not file.is_file()
         suffix = self.fallback if is_stream else file.suffix.lower()
         if suffix not in writers:
             raise BadInputError(f"save {path}", f"a name that ends in {', '.join(writers)}", suffix or "no ending")
         with written_beside(file) as beside:
             writers[suffix](beside)
+
+    def _write_json(self, path: Path) -> None:
+        content = None if self.as_dict is None else self.as_dict()
+        path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+    def _write_page(self, path: Path) -> None:
+        from lbacal.pages.report import embed, fill_report
+
+        own: dict[str, Any] = {"title": self.title, "rows": self.rows, "notes": self.notes}
+        page = self.page() if self.page else fill_report("result.html", **own, figure=embed(self.draw()))
+        path.write_text(page, encoding="utf-8")
+
+    def _write_figure(self, path: Path) -> None:
+        self.draw().savefig(path, dpi=150)
+
+    def _write_table(self, path: Path, kind: str) -> None:
+        """Write the numbers. FITS and HDF5 hold ASCII: other characters are written as escapes."""
+        table = self.table.copy()
+        for name in table.colnames if kind in ("fits", "hdf5") else ():
+            if table[name].dtype.kind == "U":
+                table[name] = np.char.encode(np.asarray(table[name]), "ascii", "backslashreplace")
+        table.write(path, format=kind, **({"path": "table", "serialize_meta": True} if kind == "hdf5" else {}))
 
     def __repr__(self) -> str:
         """The title and the lines."""
@@ -110,35 +131,3 @@ class Result(ABC):
         body = "".join(f"<tr>{cells}</tr>" for cells in [head.replace("td>", "th>"), *rows])
         notes = "".join(f"<p>{escape(note)}</p>" for note in self.notes)
         return f"<p>{escape(self.title)}</p><table>{body}</table>{notes}"
-
-
-class TabledResult(Result):
-    """A result that has its numbers as a table too, and its content as JSON values."""
-
-    @property
-    @abstractmethod
-    def table(self) -> QTable:
-        """Its numbers with units."""
-
-    @abstractmethod
-    def as_dict(self) -> Mapping[str, Any]:
-        """Its content as JSON values."""
-
-    def writers(self) -> dict[str, Writer]:
-        """JSON, tables, and what every result is written as."""
-        return {
-            ".json": self._write_json,
-            **{suffix: partial(self._write_table, kind=kind) for suffix, kind in TABLES.items()},
-            **super().writers(),
-        }
-
-    def _write_json(self, path: Path) -> None:
-        path.write_text(json.dumps(self.as_dict(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
-
-    def _write_table(self, path: Path, kind: str) -> None:
-        """Write the numbers. FITS and HDF5 hold ASCII: other characters are written as escapes."""
-        table = self.table
-        for name in table.colnames if kind in ("fits", "hdf5") else ():
-            if table[name].dtype.kind == "U":
-                table[name] = np.char.encode(np.asarray(table[name]), "ascii", "backslashreplace")
-        table.write(path, format=kind, **({"path": "table"} if kind == "hdf5" else {}))

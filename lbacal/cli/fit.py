@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from lbacal.cli.options import InstrumentName, Since, SkyPowerFile, SpectraFiles, Stations, Until, Year
 from lbacal.cli.outputs import progress, require_image, require_outputs
 from lbacal.files import written_beside
 from lbacal.selection import find_spectra_files, parse_selection, read_selected
@@ -28,18 +28,16 @@ class Scope(StrEnum):
 
 
 def fit(
-    spectra: Annotated[list[Path], typer.Argument(help="Spectra files (HDF5, lbacal-spectra-1), or folders of them.")],
-    instrument: Annotated[str, typer.Option(help="Instrument: a name such as lofar-superterp, or a JSON file.")],
+    spectra: SpectraFiles,
+    instrument: InstrumentName,
     output: Annotated[Path, typer.Option(help="Calibration table: .ecsv, .fits, .h5, .json, or .csv (rows).")],
     report: Annotated[Path, typer.Option(help="Report to write (JSON), whatever the outcome.")],
-    sky_power: Annotated[
-        Path | None, typer.Option(help="P_sky(LST, nu) file (JSON); without it the package's own sky and antenna.")
-    ] = None,
+    sky_power: SkyPowerFile = None,
     scope: Annotated[Scope, typer.Option(help="What one curve belongs to.")] = Scope.antenna,
-    since: Annotated[str | None, typer.Option(help="First instant of the events to use, ISO 8601, UTC.")] = None,
-    until: Annotated[str | None, typer.Option(help="End of the events to use, not included.")] = None,
-    year: Annotated[int | None, typer.Option(help="One calendar year, in the place of both.", min=1, max=9998)] = None,
-    station: Annotated[list[str] | None, typer.Option(help="Station to use; may be given several times.")] = None,
+    since: Since = None,
+    until: Until = None,
+    year: Year = None,
+    station: Stations = None,
     with_: Annotated[str | None, typer.Option("--with", metavar="R.json[#n]", help=HELP)] = None,
     html: Annotated[Path | None, typer.Option(help="Page to write: table, figure, budget (one HTML file).")] = None,
     plot: Annotated[
@@ -53,6 +51,7 @@ def fit(
 
     Exit 0 if any curve converged, else 1; the report is written either way.
     """
+    from lbacal.analysis.fit import NEXT_STEP
     from lbacal.analysis.fit import fit as fit_spectra
     from lbacal.calibration_files import require_format
     from lbacal_core.curves.curves import write_fit_report
@@ -75,9 +74,6 @@ def fit(
     with progress(len(files) + STEPS_OF_FIT + (html is not None or plot is not None)) as tell:
         measured = read_selected(files, selection, time.time(), tell)
         found = fit_spectra(measured, simulation, None, scope.value, extension, tell=tell)
-        found = replace(found, next_step=f"lbacal investigate {rerun} --report R.json --html R.html")
-        tell("error of one event")
-        lines = found.lines
         with written_beside(report) as beside:
             write_fit_report(found.report, beside)
         found.save(output)
@@ -86,7 +82,9 @@ def fit(
                 tell("draw")
                 found.save(drawn)
     written = " and ".join(str(path) for path in (output, report, html, plot) if path is not None)
+    next_step = f"lbacal investigate {rerun} --report R.json --html R.html"
+    said = [line.replace(NEXT_STEP, next_step) for line in found.lines]
     counted = f"{len(found.converged)} of {len(found.report.curves)} curves converged"
-    print("\n".join([f"{counted}; wrote {written}", *lines]))
+    print("\n".join([f"{counted}; wrote {written}", *said]))
     if not found.converged:
         raise typer.Exit(1)

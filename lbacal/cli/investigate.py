@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
-from lbacal.files import written_beside
+from lbacal.cli.options import Since, SkyPowerFile, Until, Year
 from lbacal.selection import Selection, find_spectra_files, parse_selection, read_selected
-from lbacal.with_model import HELP, read_model, report_path
-from lbacal_core.errors import write_chance
-
-if TYPE_CHECKING:
-    from lbacal_core.simulation.simulation import Simulation
-    from lbacal_core.spectra.spectra import Spectra
+from lbacal.with_model import HELP, extend_by, report_path
 
 
 def investigate(
@@ -34,9 +28,7 @@ def investigate(
         str | None,
         typer.Option(help="Instrument: a name or a JSON file; lofar-superterp for an LST curve unless given."),
     ] = None,
-    sky_power: Annotated[
-        Path | None, typer.Option(help="P_sky(LST, nu) file (JSON); without it the package's own sky and antenna.")
-    ] = None,
+    sky_power: SkyPowerFile = None,
     band: Annotated[tuple[float, float], typer.Option(help="First and last channel of the LST curve's band, MHz.")] = (
         30.0,
         80.0,
@@ -44,9 +36,9 @@ def investigate(
     html: Annotated[Path | None, typer.Option(help="The report as a page with its figures (HTML).")] = None,
     with_: Annotated[str | None, typer.Option("--with", metavar="R.json[#n]", help=HELP)] = None,
     stored: Annotated[bool, typer.Option("--stored", help="Let the service investigate the spectra it keeps.")] = False,
-    since: Annotated[str | None, typer.Option(help="First instant of the events to use, ISO 8601, UTC.")] = None,
-    until: Annotated[str | None, typer.Option(help="End of the events to use, not included.")] = None,
-    year: Annotated[int | None, typer.Option(help="One calendar year, in the place of both.", min=1, max=9998)] = None,
+    since: Since = None,
+    until: Until = None,
+    year: Year = None,
     station: Annotated[
         list[str] | None, typer.Option(help="Station to use; may be given several times, with --stored once.")
     ] = None,
@@ -73,7 +65,9 @@ def investigate(
         return
     if report is None:
         raise typer.BadParameter("name the report to write with --report")
+    from lbacal.analysis.investigate import investigate as investigate_data
     from lbacal.cli.outputs import require_outputs
+    from lbacal_core.lstcurve.curve import read_lst_curve
     from lbacal_core.simulation.simulation import Simulation
 
     if (not spectra) == (lst_curve is None):
@@ -89,70 +83,14 @@ def investigate(
     inputs |= {"--lst-curve": lst_curve, "--sky-power": sky_power}
     inputs["--with"] = None if with_ is None else report_path(with_)
     require_outputs({"--report": report, "--html": html}, {**inputs, "--instrument": instrument})
-    simulation = Simulation.load(instrument or "lofar-superterp", sky_power, read_model(with_))
-    if files:
-        measured = read_selected(files, selection, time.time(), _say)
-        content = _ask_spectra(measured, simulation, html)
-    else:
-        content = _ask_curve(lst_curve, simulation, band, html)
-    with written_beside(report) as beside:
-        beside.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
-    print(f"{content['verdict']}; wrote {report}{f' and {html}' if html else ''}")
-    _tell(content)
-
-
-def _tell(content: dict[str, Any]) -> None:
-    """Print adopted causes with their sizes, the findings, and what no cause explains."""
-    for one in content.get("adopted", []):
-        value, sigma, whom = one["size"]["value"], one["size"]["sigma"], f"{one['target']} of {one['station']}"
-        print(f"  adopted: {one['cause']} in {whom}, here {value:.3g} ± {sigma:.2g}")
-    for finding in content["findings"]:
-        print(f"  {finding['significance_sigma']:.1f} sigma: {finding['sentence']}")
-        if finding["indistinguishable"]:
-            print(f"    these data cannot tell it from {', '.join(finding['indistinguishable'])}")
-    if content["unexplained"]:
-        print(f"  {content['unexplained']['description']} ({write_chance(content['unexplained']['p_value'])})")
-        for finding in content["unexplained"]["similar_to"]:
-            print(f"    similar to: {finding['sentence']}")
-
-
-def _ask_spectra(measured: Spectra, simulation: Simulation, html: Path | None) -> dict[str, Any]:
-    from lbacal_core.audit.audit import audit_quickly
-    from lbacal_core.discovery.left_open import add_left_open
-    from lbacal_core.discovery.report import investigate as ask
-
-    audited = audit_quickly(measured, simulation.instrument)
-    audited.require_power(measured.origin)
-    print(f"audit: {audited.sentence}")
-    content, stations = ask(measured, simulation, progress=_say)
-    for name, note in content["provenance"]["notes"].items():
-        print(f"{name}: {note}")
-    if html is not None:
-        from lbacal.pages.investigation import write_investigation_page
-
-        write_investigation_page(content, stations, html)
-    content["provenance"]["notes"]["audit"] = audited.sentence
-    return add_left_open(content, stations)
-
-
-def _ask_curve(
-    path: Path | None, simulation: Simulation, band: tuple[float, float], html: Path | None
-) -> dict[str, Any]:
-    from lbacal_core.discovery.curve_search import describe_curve, investigate_curve
-    from lbacal_core.lstcurve.curve import measured_curve, read_lst_curve
-    from lbacal_core.provenance import Provenance
-
-    curve = read_lst_curve(path or measured_curve())
-    found = investigate_curve(curve, simulation, band)
-    sky, chain = simulation.sky_power.digest(), simulation.instrument.digest()
-    inputs = {"lst_curve": curve.digest(), "sky_power": sky, "instrument": chain}
-    settings = {"band_mhz": list(band), "own_sky": simulation.is_own_sky, "policy": found.policy.as_dict()}
-    content = describe_curve(found, Provenance(inputs, settings))
-    if html is not None:
-        from lbacal.pages.curve import write_curve_page
-
-        write_curve_page(content, found, html)
-    return content
+    extension = None if with_ is None else extend_by(with_, "--with")
+    simulation = Simulation.load(instrument or "lofar-superterp", sky_power)
+    measured = read_lst_curve(lst_curve) if lst_curve else read_selected(files, selection, time.time(), _say)
+    found = investigate_data(measured, simulation, None, extension, band, tell=_say)
+    for path in (report, html):
+        if path is not None:
+            found.save(path)
+    print("\n".join([f"{found.verdict}; wrote {report}{f' and {html}' if html else ''}", *found.lines]))
 
 
 def _say(step: str) -> None:

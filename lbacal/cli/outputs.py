@@ -7,9 +7,8 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
+from lbacal.analysis.result import IMAGES
 from lbacal_core.errors import BadInputError
-
-IMAGES = (".png", ".pdf", ".svg")
 
 
 def require_outputs(outputs: Mapping[str, Path | None], inputs: Mapping[str, str | Path | None]) -> None:

@@ -8,12 +8,13 @@ from typing import Annotated
 
 import typer
 
+from lbacal.cli.options import InstrumentName
 from lbacal.cli.outputs import require_outputs
 from lbacal.files import written_beside
 
 
 def sky_power(
-    instrument: Annotated[str, typer.Option(help="Instrument: a name such as lofar-superterp, or a JSON file.")],
+    instrument: InstrumentName,
     output: Annotated[Path, typer.Option(help="Sky power file to write (JSON).")],
     sky: Annotated[str | None, typer.Option(help="Sky model: a name, or a file; else the instrument's.")] = None,
     antenna: Annotated[

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from lbacal.files import written_beside
 from lbacal.pages.report import DIPOLE_COLOURS, embed, fill_report, label_lst_panels
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.discovery.curve_fit import CurveFit
@@ -58,12 +56,11 @@ def draw_curve(found: CurveInvestigation, title: str) -> Figure:
     return figure
 
 
-def draw_ranking(found: CurveInvestigation) -> Figure:
-    """Chi^2 of every cause by itself, and of the sets that the data cannot exclude."""
+def draw_ranking(found: CurveInvestigation, on: Any = None) -> Figure:
+    """Chi^2 of every cause by itself, and of the sets that the data cannot exclude; on axes if they are given."""
     shown = [*{fit.labels: fit for fit in (found.last, *found.open, *found.single) if fit.choices}.values()][::-1]
     are_open = {fit.labels for fit in found.open}
-    figure = Figure(figsize=(10.5, 0.27 * len(shown) + 1.4), layout="constrained")
-    axes: Any = figure.subplots()
+    axes: Any = on or Figure(figsize=(10.5, 0.27 * len(shown) + 1.4), layout="constrained").subplots()
     for row, fit in enumerate(shown):
         is_named, is_open = fit.labels == found.last.labels, fit.labels in are_open
         colour = COLOURS["X"] if is_named else "#d99a2b" if is_open else GREY
@@ -80,6 +77,7 @@ def draw_ranking(found: CurveInvestigation) -> Figure:
     axes.set_xlim(right=6 * before)
     axes.set_xlabel("chi² per point, estimated noise")
     axes.legend(fontsize=8, frameon=False, loc="lower right")
+    figure: Figure = axes.figure
     return figure
 
 
@@ -145,12 +143,11 @@ def _spread(found: CurveInvestigation, name: str) -> float:
     return float(np.sqrt(sum(variance.values()) if name == "X - Y" else variance[name]))
 
 
-def write_curve_page(content: dict[str, Any], found: CurveInvestigation, path: Path) -> None:
-    """Write the report of `lbacal_core.discovery.curve_search.describe_curve` as a page."""
+def draw_curve_page(content: dict[str, Any], found: CurveInvestigation) -> str:
+    """The report of `lbacal_core.discovery.curve_search.describe_curve` as a page."""
     figures = {
         "curve": embed(draw_curve(found, found.fitter.curve.origin)),
         "ranking": embed(draw_ranking(found)),
         "change": embed(draw_change(found)),
     }
-    with written_beside(path) as beside:
-        beside.write_text(fill_report("curve.html", report=content, **figures), encoding="utf-8")
+    return fill_report("curve.html", report=content, **figures)

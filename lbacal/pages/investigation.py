@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,13 +10,13 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from lbacal.files import written_beside
 from lbacal.pages.report import embed, fill_report
 from lbacal_core.causes.axes import AXES, Axis, axis_named
 from lbacal_core.causes.cause import signature
 from lbacal_core.discovery.antennas import AntennaScore
 from lbacal_core.discovery.findings import Finding
 from lbacal_core.discovery.hypothesis import Target
+from lbacal_core.discovery.left_open import FoundValue
 from lbacal_core.discovery.report import parameter_words
 from lbacal_core.discovery.residual_structure import ResidualStructure
 from lbacal_core.discovery.scan import Score
@@ -36,12 +35,11 @@ RED = "#b3322b"
 POINTS: dict[str, Any] = {"fmt": "o", "ms": 3, "lw": 0.9, "color": "#444"}
 
 
-def draw_scores(report: StationReport) -> Figure:
-    """The best score of every cause, with the probability that chance gives it."""
+def draw_scores(report: StationReport, on: Any = None) -> Figure:
+    """The best score of every cause, with the probability that chance gives it; on axes if they are given."""
     scores: list[Score | AntennaScore] = [*report.scores, *report.antenna_scores]
     scores.reverse()
-    figure = Figure(figsize=(9.5, 0.27 * len(scores) + 1.2), layout="constrained")
-    axes: Any = figure.subplots()
+    axes: Any = on or Figure(figsize=(9.5, 0.27 * len(scores) + 1.2), layout="constrained").subplots()
     colours = [RED if score.p_value < report.alpha_of(score) else "#8a94a6" for score in scores]
     rows = range(len(scores))  # a cause that is scored for each cable name has several
     axes.barh(rows, [abs(score.z) for score in scores], color=colours)
@@ -52,6 +50,7 @@ def draw_scores(report: StationReport) -> Figure:
     axes.set_xlabel("best score over all its templates and targets (standard deviations)")
     axes.set_xlim(0, 1.35 * max(*(abs(score.z) for score in scores), 4.0))
     axes.tick_params(axis="y", labelsize=8)
+    figure: Figure = axes.figure
     return figure
 
 
@@ -84,6 +83,13 @@ def draw_finding(report: StationReport, finding: Finding) -> Figure:
     The signature is close to one profile of the events times one of the channels: each panel shows the residual
     projected on the other profile.
     """
+    figure = Figure(figsize=(9.5, 3.4), layout="constrained")
+    _draw_profiles(report, finding, figure.subplots(1, 2))
+    return figure
+
+
+def _draw_profiles(report: StationReport, finding: Finding, panels: Any) -> None:
+    """The same on one or two axes: along the main axis, and in frequency."""
     conditions, one = report.station.conditions, finding.hypothesis
     expected, axis = _expected(report, finding), axes_of(report, finding)[0]
     observed = _shown(report.first.baseline.residual, report, one.target)
@@ -93,30 +99,44 @@ def draw_finding(report: StationReport, finding: Finding) -> Figure:
     along, across = of_channel[0] / np.sqrt(channels), of_event[:, 0] / np.sqrt(events)
     sign = 1.0 if along.sum() >= 0 else -1.0
     along, across = sign * along, sign * across
-    figure = Figure(figsize=(9.5, 3.4), layout="constrained")
-    panels: Any = figure.subplots(1, 2)
     label, values = _values_on(report, axis) or ("", np.zeros(events))
     mean, error = _bins(values, observed @ along)
     panels[0].errorbar(_centres(values), 100 * mean, 100 * error, label="residual before", **POINTS)
     panels[0].plot(_centres(values), 100 * _bins(values, expected @ along)[0], color=RED, label=one.cause.identifier)
     panels[0].set_xlabel(label)
     panels[0].set_ylabel("relative power, mean over channels (%)")
+    for panel in panels:
+        panel.axhline(0, color="#bbb", lw=0.8)
+    panels[0].legend(fontsize=8, frameon=False)
+    if len(panels) == 1:
+        return
     frequency = conditions.frequency_mhz
     scatter = 100 * np.std(observed - expected, axis=0) / np.sqrt(events)
     panels[1].errorbar(frequency, 100 * across @ observed, scatter, **POINTS)
     panels[1].plot(frequency, 100 * across @ expected, color=RED)
     panels[1].set_xlabel("frequency (MHz)")
     panels[1].set_ylabel("relative power along that profile (%)")
-    for panel in panels:
-        panel.axhline(0, color="#bbb", lw=0.8)
-    panels[0].legend(fontsize=8, frameon=False)
+
+
+def draw_value(report: StationReport, value: FoundValue) -> Figure:
+    """What was found in a station: a cause along time or sidereal time, or an antenna against the others."""
+    if isinstance(value, Finding):
+        return draw_finding(report, value)
+    figure = Figure(figsize=(9.5, 3.4), layout="constrained")
+    _draw_antenna(figure.subplots(), value, report.station.conditions.frequency_mhz)
     return figure
 
 
-def draw_antenna(score: AntennaScore, frequency_mhz: Floats) -> Figure:
+def draw_value_on(axes: Any, report: StationReport, value: FoundValue) -> None:
+    """The same on one pair of axes."""
+    if isinstance(value, Finding):
+        _draw_profiles(report, value, [axes])
+    else:
+        _draw_antenna(axes, value, report.station.conditions.frequency_mhz)
+
+
+def _draw_antenna(axes: Any, score: AntennaScore, frequency_mhz: Floats) -> None:
     """An antenna or a cable name against the others along frequency, and the shape that was found."""
-    figure = Figure(figsize=(9.5, 3.4), layout="constrained")
-    axes: Any = figure.subplots()
     level = np.nanmean(score.observed)
     others = "other cables" if score.target.scope == "cable" else "the others of its cable"
     label = f"{score.target.label} less {others}"
@@ -128,7 +148,6 @@ def draw_antenna(score: AntennaScore, frequency_mhz: Floats) -> Figure:
     axes.set_xlabel("frequency (MHz)")
     axes.set_ylabel("gain in front of the receiver (%)")
     axes.legend(fontsize=8, frameon=False)
-    return figure
 
 
 def draw_structure(report: StationReport, structure: ResidualStructure) -> Figure:
@@ -260,11 +279,9 @@ def _centres(values: Floats) -> Floats:
     return np.asarray((edges[1:] + edges[:-1]) / 2)
 
 
-def write_investigation_page(content: dict[str, Any], reports: Sequence[StationReport], path: Path) -> None:
-    """Write the report of `lbacal_core.discovery.report.investigate` as a page."""
-    stations = [_station(report) for report in reports]
-    with written_beside(path) as beside:
-        beside.write_text(fill_report("investigation.html", report=content, stations=stations), encoding="utf-8")
+def draw_page(content: dict[str, Any], reports: Sequence[StationReport]) -> str:
+    """The report of `lbacal_core.discovery.report.investigate` as a page."""
+    return fill_report("investigation.html", report=content, stations=[_station(report) for report in reports])
 
 
 def _station(report: StationReport) -> dict[str, Any]:
@@ -309,7 +326,7 @@ def _antenna(report: StationReport, score: AntennaScore) -> dict[str, Any]:
     return {
         "cause": score.cause.identifier,
         "target": score.target.label,
-        "figure": embed(draw_antenna(score, report.station.conditions.frequency_mhz)),
+        "figure": embed(draw_value(report, score)),
         "size": f"{score.size:.4g} ± {score.sigma:.2g} {score.cause.unit}",
         "parameters": ", ".join(parameter_words(score.parameters)) or "none",
         "note": score.cause.note(score.parameters, score.size),

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.errors import write_chance
-from lbacal_core.grids import Floats
-from lbacal_core.lstcurve.curve import Comparison, in_db
+from lbacal_core.lstcurve.curve import AS_RECORDED, Comparison, band_weights, in_db, simulate_band_power
+from lbacal_core.simulation.simulation import Simulation
 
 
 def fill_report(template: str, package: str = "lbacal.pages", **content: Any) -> str:
@@ -62,46 +62,36 @@ GREY = "#666666"
 FULL_DAY = np.linspace(0.0, 24.0, 289)
 
 
-def draw_lst_comparison(comparison: Comparison, simulated: dict[str, Floats]) -> Figure:
-    """Measured LST curve, the simulation with and without noise, and what is left.
-
-    Parameters
-    ----------
-    simulated
-        Relative sky power of the band on `FULL_DAY`, for each polarisation.
-    """
+def draw_lst_comparison(comparison: Comparison, simulation: Simulation) -> Figure:
+    """Measured LST curve, the simulation with and without noise, and what is left."""
     figure = Figure(figsize=(9.5, 6.2), layout="constrained")
     axes: Any = figure.subplots(2, 2, sharex=True, sharey="row", height_ratios=[2, 1])
     curve = comparison.curve
-    for column, dipole in enumerate(DIPOLES):
-        colour, top, below = DIPOLE_COLOURS[dipole], axes[0, column], axes[1, column]
-        points = {"fmt": "o", "ms": 3.5, "lw": 0.8, "color": colour}
-        top.errorbar(curve.lst_hours, curve.variation_db[dipole], curve.error_db, label=f"measured, {dipole}", **points)
-        for has_noise, style in ((False, "--"), (True, "-")):
-            fit = comparison.of(dipole, has_noise=has_noise)
-            words = f"sky and {100 * fit.noise_share:.0f} % noise" if has_noise else "sky alone"
-            level = in_db(simulated[dipole], fit.noise_share) + fit.offset_db
-            label = f"{words}: chi² per point {fit.chi2 / fit.points:.1f}"
-            top.plot(FULL_DAY, level, style, color="black" if has_noise else GREY, lw=1.3, label=label)
-        below.errorbar(
-            curve.lst_hours,
-            comparison.of(dipole, has_noise=True).residual_db,
-            curve.error_db,
-            label="with noise",
-            **points,
-        )
-        below.plot(
-            curve.lst_hours,
-            comparison.of(dipole, has_noise=False).residual_db,
-            "x",
-            ms=4,
-            color=GREY,
-            label="sky alone",
-        )
+    for dipole, (top, below) in zip(DIPOLES, axes.T, strict=True):
+        draw_lst_panel(top, comparison, simulation, dipole)
+        points = {"fmt": "o", "ms": 3.5, "lw": 0.8, "color": DIPOLE_COLOURS[dipole], "label": "with noise"}
+        with_noise, alone = (comparison.of(dipole, has_noise=has_noise).residual_db for has_noise in (True, False))
+        below.errorbar(curve.lst_hours, with_noise, curve.error_db, **points)
+        below.plot(curve.lst_hours, alone, "x", ms=4, color=GREY, label="sky alone")
     label_lst_panels(axes)
     low, high = comparison.band_mhz
     figure.suptitle(f"Band of {low:g}-{high:g} MHz: only noise share and offset fitted", fontsize=11)
     return figure
+
+
+def draw_lst_panel(axes: Any, comparison: Comparison, simulation: Simulation, dipole: str) -> None:
+    """One dipole, measured and simulated, on axes."""
+    weights = band_weights(simulation.instrument, AS_RECORDED, comparison.band_mhz)
+    simulated = simulate_band_power(simulation.sky_power, dipole, FULL_DAY, weights)
+    points = {"fmt": "o", "ms": 3.5, "lw": 0.8, "color": DIPOLE_COLOURS[dipole], "label": f"measured, {dipole}"}
+    curve = comparison.curve
+    axes.errorbar(curve.lst_hours, curve.variation_db[dipole], curve.error_db, **points)
+    for has_noise, style in ((False, "--"), (True, "-")):
+        fit = comparison.of(dipole, has_noise=has_noise)
+        words = f"sky and {100 * fit.noise_share:.0f} % noise" if has_noise else "sky alone"
+        level = in_db(simulated, fit.noise_share) + fit.offset_db
+        label = f"{words}: chi² per point {fit.chi2 / fit.points:.1f}"
+        axes.plot(FULL_DAY, level, style, color="black" if has_noise else GREY, lw=1.3, label=label)
 
 
 def label_lst_panels(axes: Any) -> None:

@@ -11,6 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import Template
+from lbacal_core.discovery.antennas import AntennaScore
 from lbacal_core.discovery.findings import Finding, gain_in_chi_squared
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
 from lbacal_core.discovery.refit import FittedModel, fit_chain, refit, refit_over_noise
@@ -21,6 +22,10 @@ from lbacal_core.grids import Floats
 
 KNOWN_CHANGE = (0.5, 2.0)
 """Factors on the power between which a structure may be taken out of the data."""
+
+
+FoundValue = Finding | AntennaScore
+"""What stands behind a finding of a report."""
 
 
 @dataclass(frozen=True)
@@ -131,8 +136,8 @@ def _add_left_open(content: dict[str, Any], reports: Sequence[StationReport]) ->
     stations = [dict(station) for station in content["stations"]]
     for station, report in zip(stations, reports, strict=True):
         for number in station["findings"]:
-            found = _find(report, findings[number])
-            if found is not None:
+            found = find_value(report, findings[number])
+            if isinstance(found, Finding):  # the comparison of antennas moves no C
                 names = [name for name, _ in found.indistinguishable]
                 without = _without(report.last, found.hypothesis)
                 hypotheses = weigh_alternatives(without, report.last, found.hypothesis, names)
@@ -148,13 +153,14 @@ def _add_left_open(content: dict[str, Any], reports: Sequence[StationReport]) ->
     return {**content, "findings": findings, "stations": stations, "unexplained": unexplained}
 
 
-def _find(report: StationReport, finding: Mapping[str, Any]) -> Finding | None:
-    """The finding behind its JSON values; None for one of the comparison of antennas, which moves no C."""
+def find_value(report: StationReport, finding: Mapping[str, Any]) -> FoundValue:
+    """The value behind the JSON values of a finding of a station."""
     named = finding["cause"], finding["evidence"]["target"], finding["size"]["value"]
-    for one in report.findings:
-        if named == (one.hypothesis.cause.identifier, one.hypothesis.target.label, one.size[0]):
-            return one
-    return None
+    values: list[tuple[tuple[str, str, float], FoundValue]] = [
+        ((one.hypothesis.cause.identifier, one.hypothesis.target.label, one.size[0]), one) for one in report.findings
+    ]
+    values += [((one.cause.identifier, one.target.label, one.size), one) for one in report.antennas]
+    return next(value for name, value in values if name == named)
 
 
 def _describe(one: OpenHypothesis) -> dict[str, Any]:

@@ -35,7 +35,7 @@ MOST_REMEMBERED = 64
 """Fits of single paths of a station's year and polarisation take 9 MB."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Simulation:
     """An instrument under a sky.
 
@@ -76,6 +76,12 @@ class Simulation:
             name, frequency_mhz = f"instrument {self.instrument.name}", self.instrument.frequency_mhz
             require_same_grid(self.given.origin, self.given.frequency_mhz, frequency_mhz, name)
             self.given.require_made_for(self.instrument)
+
+    def __repr__(self) -> str:
+        """One line."""
+        sky = "its own sky" if self.given is None else self.given.origin
+        causes = "".join(f", {one.cause} in {one.target} of {one.station}" for one in self.causes.causes)
+        return f"<Simulation {self.instrument.name} under {sky}{causes}>"
 
     @classmethod
     def load(cls, instrument: str, sky_power: Path | None = None, causes: Model = PLAIN) -> Simulation:

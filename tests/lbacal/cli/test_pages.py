@@ -11,11 +11,13 @@ import pytest
 from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
+from lbacal.analysis.budget import ErrorBudget
 from lbacal.cli.main import app
-from lbacal.pages.budget import draw_budget, tabulate
+from lbacal.pages import investigation as investigation_page
+from lbacal.pages.budget import draw_budget
 from lbacal.pages.fit import average_residuals, draw_fit, draw_page
 from lbacal.pages.fit_summary import describe_error, explain_chi2, tabulate_curves
-from lbacal.pages.investigation import draw_scores, draw_structure, write_investigation_page
+from lbacal.pages.investigation import draw_scores, draw_structure
 from lbacal.pages.tables import align
 from lbacal_core.curves.covariance import Budget, BudgetTerm, parse_budget
 from lbacal_core.curves.curves import CalibrationCurve, FitReport
@@ -181,16 +183,20 @@ TERMS = [
 ]
 
 
-def test_the_table_has_a_line_a_term_and_their_sum_in_quadrature():
-    lines = tabulate(FREQUENCY_OF_BUDGET, TERMS)
-    assert "30 MHz" in lines[0]
-    assert lines[1].split() == ["sky", "11.0/11.0", "11.0/11.0", "11.0/11.0"]
-    assert lines[3].split() == ["total", "11.4/11.4", "11.0/11.0", "11.7/11.7"]
-    assert lines[4] == (
-        "C is known best at 55 MHz, to 11.0/11.0 % (the paper: 13%); the largest term there is sky, "
-        "without which 0.0/0.0 % would be left."
-    )
-    assert lines[5] == "C/|H| has no error of the antenna gain."
+def test_the_table_has_a_row_a_term_and_their_sum_in_quadrature():
+    budget = ErrorBudget.of(Budget(FREQUENCY_OF_BUDGET, TERMS), TERMS)
+    head, *rows = budget.rows
+    assert "30 MHz" in head
+    assert rows[0] == ["sky", "11.0/11.0", "11.0/11.0", "11.0/11.0"]
+    assert rows[2] == ["total", "11.4/11.4", "11.0/11.0", "11.7/11.7"]
+    assert budget.notes == [
+        (
+            "C is known best at 55 MHz, to 11.0/11.0 % (the paper: 13%); the largest term there is sky, "
+            "without which 0.0/0.0 % would be left."
+        ),
+        "C/|H| has no error of the antenna gain.",
+    ]
+    assert len(budget.table) == 2 * 2 * 3
 
 
 def test_the_figure_stacks_every_term_below_the_total():
@@ -242,7 +248,7 @@ def written(tmp_path_factory):
     spectra = simulate_campaign(SETTINGS, chain, sky, np.random.default_rng(8), faults).spectra
     content, reports = investigate(spectra, Simulation(chain, sky))
     path = tmp_path_factory.mktemp("page") / "r.html"
-    write_investigation_page(content, reports, path)
+    path.write_text(investigation_page.draw_page(content, reports))
     return content, path.read_text(), reports
 
 
@@ -295,7 +301,7 @@ def test_a_static_cause_is_drawn_as_an_antenna_against_the_others(tmp_path):
     seen = 0.1 * np.sinc(0.62) / np.sinc(0.38)
     assert abs(finding["size"]["value"] - seen) < 4 * finding["size"]["sigma"]
     assert {"cable_length", "cable_reflection"} <= {score["cause"] for score in content["scores"]["CS002"]}
-    write_investigation_page(content, reports, tmp_path / "r.html")
+    (tmp_path / "r.html").write_text(investigation_page.draw_page(content, reports))
     page = (tmp_path / "r.html").read_text()
     assert "antenna 7 against the others of its cable" in page
     assert "with an amplitude of" in page
@@ -324,7 +330,7 @@ def test_what_all_paths_show_together_is_told_path_by_path(tmp_path):
     assert [panel.get_xlabel() for panel in panels] == ["local sidereal time (h)", "frequency (MHz)", "antenna"]
     drawn = [line.get_ydata() for line in panels[2].lines if line.get_marker() == "o"]
     assert np.isfinite(np.concatenate(drawn)).sum() == 18
-    write_investigation_page(content, reports, tmp_path / "r.html")
+    (tmp_path / "r.html").write_text(investigation_page.draw_page(content, reports))
     assert told["description"] in (tmp_path / "r.html").read_text()
 
 

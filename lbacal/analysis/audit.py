@@ -1,0 +1,95 @@
+"""`lbacal.audit`: what is wrong with a station, in seconds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from astropy.table import QTable
+
+from lbacal.analysis.data import import_data
+from lbacal.analysis.instrument import Described, core_of
+from lbacal.analysis.result import Result
+from lbacal.pages.audit import draw_departures, draw_page, draw_stations
+from lbacal_core.audit.audit import AuditReport
+from lbacal_core.audit.audit import audit as audit_spectra
+from lbacal_core.audit.verdict import WRONG, Line
+from lbacal_core.readers.statistics import is_statistics
+from lbacal_core.spectra.spectra import Spectra, read_spectra
+
+COLUMNS = ("verdict", "check", "station", "what was found")
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class Audit(Result):
+    """What the audit of stations says, a line a question."""
+
+    report: AuditReport
+
+    @property
+    def wrong(self) -> list[Line]:
+        """The lines that say that something is wrong."""
+        return [line for line in self.report.lines if line.verdict == WRONG]
+
+
+def audit(
+    data: Spectra | str | Path,
+    instrument: Described,
+    sky: str | None = None,
+    antenna: str | None = None,
+    average: Any = None,
+) -> Audit:
+    """Check stations: dead, deaf or outlying paths, exchanged dipoles, cables, clock, arms, place, unit.
+
+    Parameters
+    ----------
+    data
+        Spectra, their file, or data in any format of `lbacal.import_data`.
+    sky, antenna
+        Models of what a working station sees, by name or file; those that the instrument names unless given.
+    average
+        Time that one spectrum averages, of data that are no spectra yet, s or a Quantity; 900 s unless given.
+
+    Examples
+    --------
+    >>> import lbacal
+    >>> spectra = lbacal.simulate("lofar-superterp", events=60, antennas=6)
+    >>> lbacal.audit(spectra, "lofar-superterp").wrong
+    []
+    """
+    spectra = data if isinstance(data, Spectra) else _read(Path(data), instrument, average)
+    name = spectra.origin if isinstance(data, Spectra) else Path(data).name
+    report = audit_spectra(spectra, core_of(instrument), sky, antenna)
+    wrong = sum(line.verdict == WRONG for line in report.lines)
+    rows = [(line.verdict, line.check, line.station, f"{line.sentence}{_odds(line)}") for line in report.lines]
+    return Audit(
+        title=f"{name}: {f'{wrong} wrong' if wrong else 'nothing wrong'}",
+        rows=[COLUMNS, *rows],
+        words=len(COLUMNS),
+        notes=[
+            f"{station.name}: {station.antennas.size} antennas, {station.hours:.2f} h of sidereal time"
+            for station in report.stations
+        ],
+        draw=partial(draw_stations, report.stations),
+        draw_on=partial(draw_departures, station=report.stations[0], column=0),
+        as_table=lambda: QTable(rows=[list(row) for row in rows], names=COLUMNS, dtype=[str] * len(COLUMNS)),
+        as_dict=report.as_dict,
+        page=partial(draw_page, report, name),
+        report=report,
+    )
+
+
+def _odds(line: Line) -> str:
+    return "" if line.log_odds is None else f" (ln odds {line.log_odds:+.0f})"
+
+
+def _read(data: Path, instrument: Described, average: Any) -> Spectra:
+    """Spectra from their file, or averaged from another format to the channels of the instrument."""
+    import h5py
+
+    is_hdf5 = data.is_file() and data.suffix != ".uvh5" and (data.suffix in (".h5", ".hdf5") or h5py.is_hdf5(data))
+    if is_hdf5 and not is_statistics(data):
+        return read_spectra(data)
+    return import_data(data, average, instrument)

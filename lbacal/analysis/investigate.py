@@ -1,0 +1,293 @@
+"""`lbacal.investigate`: what the simulation gets wrong in these data, and the simulation extended by it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from astropy import units as u
+from astropy.table import QTable
+from matplotlib.figure import Figure
+
+from lbacal.analysis.data import spectra_of
+from lbacal.analysis.instrument import Described, simulation_of
+from lbacal.analysis.result import Result
+from lbacal.chain import convert_number
+from lbacal.pages.curve import draw_change, draw_curve, draw_curve_page, draw_ranking
+from lbacal.pages.investigation import draw_page, draw_scores, draw_value, draw_value_on
+from lbacal.with_model import Extended, Extension, extend_by
+from lbacal_core.audit.audit import audit_quickly
+from lbacal_core.causes.model import Model
+from lbacal_core.data.lofar import SUPERTERP
+from lbacal_core.discovery.curve_search import describe_curve, investigate_curve
+from lbacal_core.discovery.left_open import FoundValue, add_left_open, find_value
+from lbacal_core.discovery.report import investigate as investigate_spectra
+from lbacal_core.discovery.search import StationReport
+from lbacal_core.errors import BadInputError, write_chance
+from lbacal_core.lstcurve.curve import BAND_MHZ, LstCurve, read_lst_curve
+from lbacal_core.provenance import Provenance
+from lbacal_core.simulation.simulation import Simulation
+from lbacal_core.skypower.table import SkyPower
+from lbacal_core.spectra.spectra import Spectra
+from lbacal_core.uncertainty.left_open import OpenTerm, list_open_terms
+
+COLUMNS = ("cause", "station", "size", "sigma", "what is wrong")
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class Investigation(Result):
+    """The verdict, the causes that were found, and what is left.
+
+    Attributes
+    ----------
+    content
+        The report, as `lbacal investigate` writes it.
+    simulation
+        With which the data were compared.
+    """
+
+    content: Mapping[str, Any]
+    simulation: Simulation
+    findings: Sequence[Finding]
+
+    @property
+    def verdict(self) -> str:
+        """`consistent`, `explained` or `unexplained`."""
+        return str(self.content["verdict"])
+
+    @property
+    def unexplained(self) -> Mapping[str, Any] | None:
+        """Structure that no cause explains, as the report has it; None where nothing is left."""
+        found: Mapping[str, Any] | None = self.content["unexplained"]
+        return found
+
+    @property
+    def left_open(self) -> Sequence[OpenTerm]:
+        """What it leaves open of C where no finding is adopted."""
+        return list_open_terms(self.content)
+
+    @property
+    def extension(self) -> Extension:
+        """All findings, and what is left open beside them."""
+        adopted = range(len(self.findings))
+        return Extension(Model.from_report(self.content), list_open_terms(self.content, adopted), "the findings")
+
+    def extend(self) -> Simulation:
+        """The simulation with all causes that were found; their sizes are fitted together with C."""
+        return self.simulation.with_causes(self.extension.causes)
+
+    @property
+    def lines(self) -> list[str]:
+        """Adopted causes with their sizes, the findings, what no cause explains, and what was noted of the data."""
+        lines = []
+        for one in self.content.get("adopted", []):
+            value, sigma, whom = one["size"]["value"], one["size"]["sigma"], f"{one['target']} of {one['station']}"
+            lines.append(f"  adopted: {one['cause']} in {whom}, here {value:.3g} ± {sigma:.2g}")
+        for finding in self.findings:
+            lines += finding.lines
+        if self.unexplained:
+            lines.append(f"  {self.unexplained['description']} ({write_chance(self.unexplained['p_value'])})")
+            lines += [f"    similar to: {one['sentence']}" for one in self.unexplained["similar_to"]]
+        return [*lines, *self.notes]
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class Finding(Result):
+    """One cause that was found.
+
+    Attributes
+    ----------
+    number, report
+        Its number in the report, and the report.
+    simulation
+        With which the data were compared.
+    """
+
+    number: int
+    report: Mapping[str, Any]
+    simulation: Simulation
+
+    @property
+    def content(self) -> Mapping[str, Any]:
+        """The finding as the report has it."""
+        found: Mapping[str, Any] = self.report["findings"][self.number]
+        return found
+
+    @property
+    def cause(self) -> str:
+        """Its name in the catalogue (docs/causes.md)."""
+        return str(self.content["cause"])
+
+    @property
+    def sentence(self) -> str:
+        """What is wrong, in one sentence."""
+        return str(self.content["sentence"])
+
+    @property
+    def significance(self) -> float:
+        """Standard deviations, after the look-elsewhere correction over the whole catalogue."""
+        return float(self.content["significance_sigma"])
+
+    @property
+    def gain(self) -> Mapping[str, Any]:
+        """What the cause gains: chi^2 before and after, and the likelihood on held-out events."""
+        gain: Mapping[str, Any] = self.content["gain"]
+        return gain
+
+    @property
+    def left_open(self) -> Sequence[OpenTerm]:
+        """What the investigation leaves open where this finding alone is adopted."""
+        return list_open_terms(self.report, [self.number])
+
+    @property
+    def extension(self) -> Extension:
+        """The finding, and what is left open beside it."""
+        causes = Model.from_report(self.report, self.number)
+        return Extension(causes, self.left_open, f"finding {self.number}")
+
+    def extend(self) -> Simulation:
+        """The simulation with this cause; its size is fitted together with C."""
+        return self.simulation.with_causes(self.extension.causes)
+
+    @property
+    def lines(self) -> list[str]:
+        """The sentence, and the causes that these data cannot tell it from."""
+        rivals = ", ".join(self.content["indistinguishable"])
+        told = [f"  {self.significance:.1f} sigma: {self.sentence}"]
+        return [*told, *([f"    these data cannot tell it from {rivals}"] if rivals else [])]
+
+
+def investigate(
+    data: Spectra | LstCurve | str | Path,
+    instrument: Described | None = None,
+    sky_power: SkyPower | str | Path | None = None,
+    with_: Extended = None,
+    band: tuple[Any, Any] = BAND_MHZ,
+    *,
+    tell: Callable[[str], None] = lambda _: None,
+) -> Investigation:
+    """Find what the simulation gets wrong: name the cause, extend the model, measure the gain.
+
+    Parameters
+    ----------
+    data
+        Spectra or their file; or a band-averaged LST curve, or its file (CSV).
+    instrument, sky_power
+        As in `lbacal.fit`; lofar-superterp for an LST curve unless given.
+    with_
+        What the model is extended by beforehand: an `Investigation`, a finding, or ``"R.json#0"``.
+    band
+        First and last channel of the LST curve, MHz or Quantities.
+    tell
+        Called with a sentence before each step.
+
+    Examples
+    --------
+    >>> import lbacal
+    >>> spectra = lbacal.simulate("lofar-superterp", events=100, antennas=2)
+    >>> found = lbacal.investigate(spectra, "lofar-superterp")
+    >>> found.verdict
+    'consistent'
+    >>> found.findings[0].plot()  # doctest: +SKIP
+    >>> lbacal.fit(spectra, "lofar-superterp", with_=found.findings[0])  # doctest: +SKIP
+    """
+    if isinstance(data, LstCurve) or (isinstance(data, str | Path) and Path(data).suffix.lower() == ".csv"):
+        if with_ is not None:
+            raise BadInputError("with_", "spectra beside it", "an LST curve")
+        curve = data if isinstance(data, LstCurve) else read_lst_curve(Path(data))
+        limits = convert_number(band[0], u.MHz), convert_number(band[1], u.MHz)
+        return _investigate_curve(curve, simulation_of(instrument or SUPERTERP, sky_power), limits)
+    if instrument is None:
+        raise BadInputError("instrument", "an instrument beside spectra, or the name of one", "None")
+    simulation, causes = simulation_of(instrument, sky_power), extend_by(with_).causes
+    simulation = simulation if causes.is_plain else simulation.with_causes(causes)
+    measured = spectra_of(data)
+    audited = audit_quickly(measured, simulation.instrument)
+    audited.require_power(measured.origin)
+    content, stations = investigate_spectra(measured, simulation, progress=tell)
+    content["provenance"]["notes"]["audit"] = audited.sentence
+    content = add_left_open(content, stations)
+
+    def value_of(finding: Mapping[str, Any]) -> tuple[StationReport, FoundValue]:
+        report = next(one for one in stations if one.station.name == finding["where"]["station"])
+        return report, find_value(report, finding)
+
+    figures = Figures(
+        draw=partial(draw_scores, stations[0]),
+        draw_on=partial(draw_scores, stations[0]),
+        page=partial(draw_page, content, stations),
+        draw_finding=lambda finding: draw_value(*value_of(finding)),
+        draw_finding_on=lambda finding, axes: draw_value_on(axes, *value_of(finding)),
+    )
+    return _make(measured.origin, content, simulation, figures)
+
+
+def _investigate_curve(curve: LstCurve, simulation: Simulation, band_mhz: tuple[float, float]) -> Investigation:
+    found = investigate_curve(curve, simulation, band_mhz)
+    sky, chain = simulation.sky_power.digest(), simulation.instrument.digest()
+    inputs = {"lst_curve": curve.digest(), "sky_power": sky, "instrument": chain}
+    settings = {"band_mhz": list(band_mhz), "own_sky": simulation.is_own_sky, "policy": found.policy.as_dict()}
+    content = describe_curve(found, Provenance(inputs, settings))
+    figures = Figures(
+        draw=partial(draw_curve, found, curve.origin),
+        draw_on=partial(draw_ranking, found),
+        page=partial(draw_curve_page, content, found),
+        draw_finding=lambda _: draw_change(found),
+        draw_finding_on=lambda _, axes: draw_ranking(found, axes),
+    )
+    return _make(curve.origin, content, simulation, figures)
+
+
+class Figures(NamedTuple):
+    """What draws an investigation of spectra, or of an LST curve, and its findings."""
+
+    draw: Callable[[], Figure]
+    draw_on: Callable[[Any], object]
+    page: Callable[[], str]
+    draw_finding: Callable[[Mapping[str, Any]], Figure]
+    draw_finding_on: Callable[[Mapping[str, Any], Any], object]
+
+
+def _make(source: str, content: dict[str, Any], simulation: Simulation, figures: Figures) -> Investigation:
+    findings = []
+    for number, one in enumerate(content["findings"]):
+        gains = [(name, f"{value:.4g}") for name, value in one["gain"].items() if isinstance(value, float | int)]
+        findings.append(
+            Finding(
+                title=f"{one['cause']} {_size(one)}",
+                rows=[("gain", ""), *gains],
+                notes=[one["sentence"]],
+                draw=partial(figures.draw_finding, one),
+                draw_on=partial(figures.draw_finding_on, one),
+                as_dict=partial(dict, one),
+                number=number,
+                report=content,
+                simulation=simulation,
+            )
+        )
+    rows = [
+        (one.cause, one.content["where"]["station"] or "", _size(one.content), f"{one.significance:.1f}", one.sentence)
+        for one in findings
+    ]
+    return Investigation(
+        title=f"{source}: {content['verdict']}",
+        rows=[COLUMNS, *rows],
+        notes=[f"{name}: {note}" for name, note in content["provenance"].get("notes", {}).items()],
+        draw=figures.draw,
+        draw_on=figures.draw_on,
+        page=figures.page,
+        as_dict=lambda: content,
+        as_table=lambda: QTable(rows=rows or None, names=COLUMNS, dtype=[str] * len(COLUMNS)),
+        content=content,
+        simulation=simulation,
+        findings=findings,
+    )
+
+
+def _size(finding: Mapping[str, Any]) -> str:
+    size = finding["size"]
+    error = "" if size["sigma"] is None else f" ± {size['sigma']:.2g}"
+    return f"{size['value']:.3g}{error} {size['unit']}"

@@ -1,0 +1,137 @@
+"""What is wrong, and what follows from it, in Python: the numbers of the commands, drawn and saved."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from astropy.table import QTable
+from matplotlib.figure import Figure
+
+import lbacal
+from lbacal_core.errors import BadInputError
+from lbacal_core.instrument.instrument import load_instrument
+from lbacal_core.lstcurve.curve import measured_curve
+from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.skypower.table import SkyPower
+from lbacal_core.spectra.spectra import Spectra
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.faults.sky import LstOffset
+from lbacal_twin.settings import TwinSettings
+
+EVERY = ("json", "html", "ecsv", "csv", "fits", "h5", "png")
+pytestmark = pytest.mark.long
+
+
+@pytest.fixture(scope="module")
+def sky() -> SkyPower:
+    return compute_sky_power(load_instrument("lofar-superterp"))
+
+
+@pytest.fixture(scope="module")
+def late(sky: SkyPower) -> Spectra:
+    """A station whose clock is 0.3 h off."""
+    settings = TwinSettings(stations=("CS002",), antennas=4, events_per_year=250)
+    chain, rng = load_instrument("lofar-superterp"), np.random.default_rng(3)
+    return simulate_campaign(settings, chain, sky, rng, [LstOffset(size=0.3)]).spectra
+
+
+@pytest.fixture(scope="module")
+def found(late: Spectra, sky: SkyPower) -> lbacal.Investigation:
+    return lbacal.investigate(late, "lofar-superterp", sky)
+
+
+def save_all(result: object, folder: Path) -> None:
+    for suffix in EVERY:
+        result.save(folder / f"r.{suffix}")
+        assert (folder / f"r.{suffix}").stat().st_size > 100
+    assert len(QTable.read(folder / "r.ecsv")) == len(result.table)
+
+
+def test_a_finding_has_its_size_its_gain_its_figure_and_the_simulation_with_it(found: lbacal.Investigation) -> None:
+    (finding,) = found.findings
+    assert (found.verdict, finding.cause) == ("explained", "lst_offset")
+    assert finding.content["size"]["value"] == pytest.approx(0.3, abs=0.08)
+    assert finding.gain["held_out_log_likelihood_gain"] > 50
+    assert isinstance(finding.plot(), Figure)
+    axes = Figure().subplots()
+    assert finding.plot(axes) is found.plot(axes) is axes.figure
+    assert axes.get_xlabel().startswith("best score")
+    extended = finding.extend()
+    assert [one.cause for one in extended.causes.causes] == ["lst_offset"]
+    assert "lst_offset in station of CS002" in repr(extended)
+    assert "15" in repr(found)
+    assert "sidereal time" in found._repr_html_()
+
+
+def test_the_simulation_with_the_cause_finds_nothing_more(late: Spectra, found: lbacal.Investigation) -> None:
+    again = lbacal.investigate(late, found.findings[0].extend())
+    assert (again.verdict, len(again.findings)) == ("consistent", 0)
+    assert again.content["adopted"][0]["size"]["value"] == pytest.approx(0.3, abs=0.08)
+
+
+def test_a_fit_with_a_finding_is_that_of_its_report(late: Spectra, found: lbacal.Investigation, tmp_path: Path) -> None:
+    found.save(tmp_path / "R.json")
+    value, report = (
+        lbacal.fit(late, "lofar-superterp", scope="station", with_=with_)
+        for with_ in (found.findings[0], f"{tmp_path / 'R.json'}#0")
+    )
+    assert value.report.causes[0]["cause"] == "lst_offset"
+    np.testing.assert_array_equal(value.table["c"], report.table["c"])
+    np.testing.assert_array_equal(value.table["c_sigma_sys"], report.table["c_sigma_sys"])
+
+
+def test_an_investigation_is_saved_in_every_form(found: lbacal.Investigation, tmp_path: Path) -> None:
+    save_all(found, tmp_path)
+    assert json.loads((tmp_path / "r.json").read_text())["findings"][0]["left_open"]
+    assert "signature of lst_offset" in (tmp_path / "r.html").read_text()
+
+
+def test_a_budget_has_a_term_for_what_is_left_open(late: Spectra, found: lbacal.Investigation, tmp_path: Path) -> None:
+    budget = lbacal.budget(late, "lofar-superterp", sky="paper", left_open=found)
+    assert budget.terms[-1].name == "lst_offset not adopted"
+    save_all(budget, tmp_path)
+    budget.plot(Figure().subplots())
+    with pytest.raises(BadInputError, match="sky budget"):
+        lbacal.budget(late, "lofar-superterp", sky="papers")
+
+
+def test_an_audit_is_a_table_of_its_lines(late: Spectra, tmp_path: Path) -> None:
+    audit = lbacal.audit(late, "lofar-superterp")
+    assert {"clock", "arms"} <= set(audit.table["check"])
+    save_all(audit, tmp_path)
+    audit.plot(Figure().subplots())
+
+
+def test_an_lst_curve_is_compared_and_investigated(tmp_path: Path) -> None:
+    curve = lbacal.lst_curve(measured_curve())
+    assert [row[0] for row in curve.rows[1:]] == ["X", "Y", "X", "Y"]
+    save_all(curve, tmp_path)
+    curve.plot(Figure().subplots())
+    found = lbacal.investigate(measured_curve())
+    assert found.findings[0].cause == "dipole_swap"
+    assert isinstance(found.findings[0].plot(), Figure)
+    with pytest.raises(BadInputError, match=r"^finding 0: expected"):
+        found.findings[0].extend()
+
+
+def test_spectra_need_an_instrument_and_a_scope_has_a_name(late: Spectra) -> None:
+    with pytest.raises(BadInputError, match=r"^instrument: expected an instrument beside spectra"):
+        lbacal.investigate(late)
+    with pytest.raises(BadInputError, match=r"^scope: expected one of antenna, station, array, found 'paths'$"):
+        lbacal.fit(late, "lofar-superterp", scope="paths")
+
+
+def test_data_are_imported_with_what_was_left_out(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("# time: 2014-05-01T00:00:00Z\nfrequency_mhz,0X\n40,1\n41,3\n")
+    spectra = lbacal.import_data(tmp_path / "a.csv", events=True)
+    assert spectra.notes[-1] == "1 spectra, 1 events from 1 integrations, 2 channels from 40 to 41 MHz"
+    spectra.save(tmp_path / "S.h5")
+    read = lbacal.read(tmp_path / "S.h5", since="2014-04-01")
+    np.testing.assert_array_equal(read.power, [[1.0, 3.0]])
+    with pytest.raises(BadInputError, match=r"^average: expected a number > 0, found 0"):
+        lbacal.import_data(tmp_path / "a.csv", average=0)
+    with pytest.raises(BadInputError, match=r"^since, until: expected an end after the beginning"):
+        lbacal.read(tmp_path / "S.h5", since="2014-04-01", until="2014-03-01")
