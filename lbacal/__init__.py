@@ -32,6 +32,7 @@ _MODULES = {
     "analysis.fit": ("Calibration", "fit"),
     "analysis.investigate": ("Finding", "Investigation", "investigate"),
     "analysis.lst_curve": ("LstComparison", "lst_curve"),
+    "analysis.predict": ("Prediction", "predict"),
 }
 ANALYSIS = {name: module for module, names in _MODULES.items() for name in names}
 """What needs the extra `fit`, by its name, with the module that is imported when it is asked for."""

@@ -11,7 +11,20 @@ from prometheus_client import CollectorRegistry
 from starlette.middleware.gzip import GZipMiddleware
 
 from service.factory import Factory
-from service.handlers import calibrations, drift, health, jobs, ledger, life, models, pages, problems, session, spectra
+from service.handlers import (
+    calibrations,
+    drift,
+    health,
+    jobs,
+    ledger,
+    life,
+    models,
+    pages,
+    predictions,
+    problems,
+    session,
+    spectra,
+)
 from service.handlers.edge import AnswersHead, Edge, KeyGuard
 from service.handlers.metrics import Traffic
 from service.handlers.request import LARGE_READS, require_acceptable, require_known_query
@@ -41,6 +54,7 @@ def make_app(factory: Factory) -> FastAPI:
         ledger.router,
         models.investigations,
         models.router,
+        predictions.router,
         drift.router,
         drift.changes,
         life.router,

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from service.usecases.models import Models
     from service.usecases.orders import Inputs
     from service.usecases.payoff import Payoff
+    from service.usecases.predictions import Predictions
     from service.usecases.refits import Jobs, Refits
     from service.usecases.watch import Watch
 
@@ -101,6 +102,13 @@ class Factory:
         from service.usecases.orders import name_inputs
 
         return name_inputs(self.simulation)
+
+    @cached_property
+    def predictions(self) -> Predictions:
+        """What paths should see."""
+        from service.usecases.predictions import Predictions
+
+        return Predictions(self.calibrations, self.simulation)
 
     @cached_property
     def refits(self) -> Refits:

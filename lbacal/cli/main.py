@@ -24,6 +24,7 @@ from lbacal.cli.import_ import import_
 from lbacal.cli.investigate import investigate
 from lbacal.cli.ledger import abandon, adopt, alarms, changes, life, models, promote, rollback, status, tag, withdraw
 from lbacal.cli.lst_curve import lst_curve
+from lbacal.cli.predict import predict
 from lbacal.cli.sky_power import antenna_gain, sky_power
 from lbacal.cli.spectra import spectra
 from lbacal.settings import require_known_settings
@@ -63,7 +64,7 @@ def _name(command: Callable[..., None]) -> str:
 
 
 _COMPUTING: tuple[Callable[..., None], ...] = (
-    audit, fit, budget, investigate, lst_curve, sky_power, antenna_gain, spectra
+    audit, fit, budget, investigate, predict, lst_curve, sky_power, antenna_gain, spectra
 )  # fmt: skip
 _ASKING: tuple[Callable[..., None], ...] = (
     ingest, refit, promote, withdraw, rollback, tag, effective, jobs, status, alarms, changes, life, sync, adopt,

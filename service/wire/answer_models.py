@@ -271,6 +271,36 @@ class InEffectAnswer(Answer):
     missing: list[PathAnswer] = Field(description="paths for which nothing is in effect")
 
 
+class EventNoiseAnswer(Answer):
+    """How the power of single events scatters, as a fraction of the expectation."""
+
+    shared: list[list[float]] = Field(description="what channels share, one standard deviation each, independent")
+    own: list[float] = Field(description="variance of each channel by itself")
+    source: str
+
+
+class PredictionAnswer(Answer):
+    """What a path should see at an instant, on the channels in which C is known."""
+
+    at: Moment
+    calibration: str
+    answered_by: str
+    station: str
+    antenna: int
+    dipole: str
+    lst_h: float
+    frequency_mhz: list[float]
+    power: list[float] = Field(description="expected")
+    power_unit: str
+    covariance: list[list[float]] = Field(description="how well the expected power is known, without noise of events")
+    contributions: dict[str, dict[str, list[float] | None]] = Field(description="by source: kelvin, and fraction")
+    adc: dict[str, float | list[float]] | None = Field(description="r.m.s. of the samples by the channels' power")
+    sefd_jy: list[float] = Field(description="flux of an unpolarised zenith source that doubles the power, Jy")
+    sefd_sigma: list[float]
+    noise: EventNoiseAnswer
+    notes: list[str] = Field(description="what is not in it")
+
+
 class StationEdges(Answer):
     """A station and where its answers change; null is the array's reference chain."""
 

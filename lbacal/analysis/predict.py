@@ -1,0 +1,183 @@
+"""`lbacal.predict`: what a path should see at an instant, from a fit, a simulation alone, or what is in effect."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from astropy import units as u
+from astropy.table import QTable
+from matplotlib.figure import Figure
+
+from lbacal.analysis.fit import SHOWN_NAMES, Calibration
+from lbacal.analysis.instrument import Described, simulation_of
+from lbacal.analysis.result import Result
+from lbacal.client import Client, format_time
+from lbacal.instants import format_instant, parse_instant
+from lbacal_core.errors import UnknownNameError
+from lbacal_core.grids import Floats
+from lbacal_core.uncertainty.prediction import EventNoise, predict_alone, predict_path
+
+SHOWN = 6
+"""Frequencies of the printed table, from the lowest channel to the highest."""
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class Prediction(Result):
+    """What a path should see: `content` is the answer of ``GET /v1/predictions``.
+
+    Attributes
+    ----------
+    power
+        Expected power, shape (freq,).
+    covariance
+        How well it is known: its covariance by calibration and sky, shape (freq, freq).
+    event_covariance
+        That of the recorded power of one event about it: its gain and its radiometer noise.
+    """
+
+    content: Mapping[str, Any]
+    power: Floats
+    covariance: Floats
+    event_covariance: Floats
+
+    def draw_events(self, count: int, seed: int = 1) -> Floats:
+        """Recorded power of single events, shape (event, freq), with the right spectrum and correlation along it.
+
+        Events are independent of each other, and of those of other antennas, which in a station share a part of the
+        gain and a little of the sky's noise.
+        """
+        return np.asarray(self.power * _noise_of(self.content).draw(count, np.random.default_rng(seed)))
+
+
+def predict(
+    source: Calibration | Described | None = None,
+    *,
+    at: Any,
+    station: str,
+    antenna: int,
+    dipole: str,
+    temperature: Any = None,
+) -> Prediction:
+    """What an antenna should see: expected spectrum with covariance, what it is made of, SEFD, noise of events.
+
+    Parameters
+    ----------
+    source
+        A `Calibration`, whose spectra say how events scatter; or an instrument by itself, as in `lbacal.fit`; or None
+        for the calibration in effect, which the server of `LBACAL_URL` answers with.
+    at
+        An astropy Time, a datetime (naive = UTC) or ISO 8601 text.
+    temperature
+        Outside temperature, deg C or a Quantity.
+
+    Examples
+    --------
+    >>> import lbacal
+    >>> where = {"station": "CS002", "antenna": 1, "dipole": "X"}
+    >>> alone = lbacal.predict("lofar-superterp", at="2014-05-01T12:00:00Z", **where)
+    >>> alone.table["power"].unit
+    Unit("W / MHz")
+    >>> seen = lbacal.predict(at="2014-05-01T12:00:00Z", **where)  # doctest: +SKIP
+    >>> seen.draw_events(100).shape  # doctest: +SKIP
+    (100, 51)
+    """
+    celsius = temperature
+    if isinstance(temperature, u.Quantity):
+        celsius = temperature.to_value(u.deg_C, u.temperature())
+    path = {"station": station, "antenna": antenna, "dipole": dipole}
+    instant = parse_instant("at", format_time(at))
+    if source is None:
+        with Client() as client:
+            return _make(client.get("/v1/predictions", **path, at=format_instant(instant), temperature_c=celsius))
+    if not isinstance(source, Calibration):
+        found = predict_alone(simulation_of(source), station, antenna, dipole, 1e-6 * instant)
+        return _make({"at": format_instant(instant), **found.as_dict()})
+    curves = {(one.station, one.antenna, one.dipole): one for one in source.report.curves}
+    curve = curves.get((station, antenna, dipole))
+    if curve is None:
+        wanted, names = f"{station} antenna {antenna} {dipole}", [one.name for one in curves.values()]
+        raise UnknownNameError("curve", wanted, names[:SHOWN_NAMES])
+    named = None if curve.covariance is None else source.report.budgets.get(str(curve.covariance.budget))
+    noise = None if curve.c is None else EventNoise.measured(curve, source.spectra, source.simulation)
+    found = predict_path(curve, source.simulation, 1e-6 * instant, noise, named, celsius)
+    return _make({"at": format_instant(instant), **found.as_dict()})
+
+
+def _make(content: Mapping[str, Any]) -> Prediction:
+    nu, power, sefd, sefd_sigma = (
+        np.array(content[name], dtype=float) for name in ("frequency_mhz", "power", "sefd_jy", "sefd_sigma")
+    )
+    covariance = np.array(content["covariance"], dtype=float)
+    of_event = _noise_of(content).covariance() * np.outer(power, power)
+    sigma, event_sigma = np.sqrt(np.diag(covariance)), np.sqrt(np.diag(of_event))
+    unit = u.Unit("adu2 / (Ohm MHz)" if content["adc"] else "W / MHz")
+    columns = {"frequency": nu * u.MHz, "power": power * unit, "sigma": sigma * unit, "event_sigma": event_sigma * unit}
+    for name, one in content["contributions"].items():
+        columns[f"{name}_fraction"] = np.array(one["fraction"]) * u.dimensionless_unscaled
+        if one["kelvin"] is not None:
+            columns[f"{name}_temperature"] = np.array(one["kelvin"]) * u.K
+    columns |= {"sefd": sefd * u.Jy, "sefd_sigma": sefd_sigma * u.Jy}
+    at = np.unique(np.linspace(0, nu.size - 1, SHOWN).round().astype(int))
+    adc, shown = content["adc"], []
+    if adc is not None:
+        low, high = adc["band_mhz"]
+        shown = [f"the ADC shows {adc['rms']:.2f} ± {adc['sigma']:.2f} counts r.m.s. by {low:g}-{high:g} MHz"]
+    draw_on = partial(_draw, nu=nu, power=power, bands={"one event": event_sigma, "known to": sigma})
+    write = partial(write_prediction, content)
+    return Prediction(
+        title=f"{content['station']} {content['antenna']} {content['dipole']} at {content['at']}, "
+        f"LST {content['lst_h']:.2f} h",
+        rows=[
+            [f"{name}, {one.unit}".rstrip(", "), *(f"{one[k].value:.4g}" for k in at)] for name, one in columns.items()
+        ],
+        notes=[*shown, f"noise of an event: {content['noise']['source']}", *content["notes"]],
+        draw=lambda: draw_on(Figure(layout="constrained").subplots()),
+        draw_on=draw_on,
+        as_dict=lambda: content,
+        as_table=lambda: QTable(columns),
+        more={".h5": write, ".hdf5": write},
+        content=content,
+        power=power,
+        covariance=covariance,
+        event_covariance=of_event,
+    )
+
+
+def _noise_of(content: Mapping[str, Any]) -> EventNoise:
+    noise, size = content["noise"], len(content["power"])
+    return EventNoise(np.reshape(noise["shared"], (-1, size)), np.array(noise["own"], dtype=float), noise["source"])
+
+
+def write_prediction(content: Mapping[str, Any], path: Path, events: Floats | None = None) -> None:
+    """Write P.h5: what the answer holds under its names, and the power of single events as `realisations`."""
+    with h5py.File(path, "w") as root:
+        _write_group(root, content)
+        if events is not None:
+            root["realisations"] = events
+
+
+def _write_group(group: h5py.Group, content: Mapping[str, Any]) -> None:
+    for name, value in content.items():
+        if isinstance(value, Mapping):
+            _write_group(group.create_group(name), value)
+        elif isinstance(value, list) and not any(isinstance(one, str) for one in value):
+            group[name] = np.array(value, dtype=float)
+        elif value is not None:
+            group.attrs[name] = "; ".join(value) if isinstance(value, list) else value
+
+
+def _draw(axes: Any, nu: Floats, power: Floats, bands: Mapping[str, Floats]) -> Figure:
+    """The expected power with what one event scatters about it, and how well it is known."""
+    axes.plot(nu, power, color="black", label="expected")
+    for label, sigma in bands.items():
+        axes.fill_between(nu, power - sigma, power + sigma, alpha=0.3, lw=0, label=f"{label}, 68 %")
+    axes.set(xlabel="frequency (MHz)", ylabel="power", yscale="log")
+    axes.legend(fontsize=8, frameon=False)
+    figure: Figure = axes.figure
+    return figure

@@ -1,0 +1,308 @@
+"""What a path should record at an instant, how well that is known, and how single events scatter about it.
+
+The expectation is P = s (P_sky(t) + N) with all noise N referred to the start of the chain, s = G_ant / C^2
+(eq. full_chain of Mulrey et al. 2019). A fit knows the mean recorded power far better than C: what the sky is given too
+much, the electronics get too little. With the mean P_sky over the sidereal day as the pivot,
+
+    d ln P = -2 d ln C s (P_sky(t) - mean P_sky) / P
+
+for every error of C that the noise of the data makes. A sky that is wrong by dP_sky(t) moves s and N of the fit as far
+as dP_sky is a straight line in P_sky; what is left, dP_sky less that line, is wrong in P. A gain that one path has
+beside its reference chain moves all that is in front of it: d ln P = -2 d ln C s (P_sky + N_front) / P.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from lbacal_core.curves.covariance import Budget
+from lbacal_core.curves.curves import CalibrationCurve
+from lbacal_core.errors import BadInputError
+from lbacal_core.grids import Floats, guess_widths
+from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.simulation.simulation import Simulation, noise_at_input, noise_of
+from lbacal_core.skypower.antenna_of import antenna_of
+from lbacal_core.skypower.power import RESISTANCE_OHM, power_per_kelvin_sr
+from lbacal_core.skypower.sources import point_source_power, response_towards
+from lbacal_core.skypower.table import read_at
+from lbacal_core.spectra.blocks import iterate_blocks
+from lbacal_core.spectra.spectra import Spectra
+from lbacal_core.traces.voltage import statistical_errors, systematic_errors
+from lbacal_core.uncertainty.one_event import compare_paths
+
+EVENT_GAIN = 0.05
+"""Standard deviation of the gain of an event, flat along frequency (Mulrey et al. 2019, section 5)."""
+BLOCK_US = 5.12
+"""Duration of a block of 1024 samples at 200 MHz, microseconds."""
+FEWEST_EVENTS = 60
+"""Events of a path from which its noise is measured; a variance is then known to 18 %."""
+RINGS, SPOKES = 48, 64
+"""Directions over which a pattern is integrated; the patterns that ship vary by less than six waves over the sky."""
+
+
+@dataclass(frozen=True)
+class EventNoise:
+    """How the recorded power of single events scatters, as a fraction of the expectation.
+
+    Attributes
+    ----------
+    shared
+        What an event shares along frequency, shape (vector, freq): one standard deviation each, independent.
+    own
+        Variance of each channel by itself, shape (freq,).
+    source
+        Where they come from, in words.
+    """
+
+    shared: Floats
+    own: Floats
+    source: str
+
+    @classmethod
+    def expected(cls, frequency_mhz: Floats, blocks: int = 100) -> EventNoise:
+        """The published gain of an event, and the radiometer equation: variance 1 / (width x duration)."""
+        own = 1.0 / (guess_widths(frequency_mhz) * blocks * BLOCK_US)
+        said = f"gain of an event {EVENT_GAIN:.0%} as published for LOFAR; radiometer equation for {blocks} blocks"
+        return cls(np.full((1, frequency_mhz.size), EVENT_GAIN), own, said)
+
+    @classmethod
+    def measured(cls, curve: CalibrationCurve, spectra: Spectra, simulation: Simulation) -> EventNoise | None:
+        """That of the events that a path's curve was fitted to; None for fewer than `FEWEST_EVENTS`."""
+        for block in iterate_blocks(spectra):
+            for row, one, ratio in compare_paths(block, [curve], simulation):
+                if block.antennas[row] == curve.antenna and len(ratio) >= FEWEST_EVENTS:
+                    shared, own = _split(np.cov(ratio[:, one.has_value], rowvar=False), len(ratio))
+                    return cls(shared, own, f"measured in {len(ratio)} events of this path")
+        return None
+
+    def covariance(self) -> Floats:
+        """Relative covariance, shape (freq, freq)."""
+        return np.asarray(self.shared.T @ self.shared + np.diag(self.own))
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON values."""
+        return {"shared": self.shared.tolist(), "own": self.own.tolist(), "source": self.source}
+
+    def draw(self, count: int, rng: np.random.Generator) -> Floats:
+        """Factors of mean 1 on the expected power of single events, shape (event, freq).
+
+        The average of n independent samples of noise power follows a gamma distribution of shape n.
+        """
+        gain = 1.0 + rng.standard_normal((count, len(self.shared))) @ self.shared
+        own = np.maximum(self.own, 1e-12)
+        return np.asarray(gain * rng.standard_gamma(1.0 / own, (count, own.size)) * own)
+
+
+def _split(covariance: Floats, events: int) -> tuple[Floats, Floats]:
+    """A covariance as what channels share, shape (vector, freq), and what each has by itself, shape (freq,).
+
+    An axis is kept where its variance is beyond the largest that independent noise of so many events makes,
+    (1 + (channels / events)^1/2)^2 times the typical one (Marchenko & Pastur 1967, Math. USSR Sb. 1, 457).
+    """
+    size, axes = np.linalg.eigh(covariance)
+    typical = float(np.median(size))
+    kept = size > typical * (1.0 + (size.size / events) ** 0.5) ** 2
+    shared = np.sqrt(size[kept] - typical)[:, None] * axes[:, kept].T
+    return shared[::-1], np.maximum(np.diag(covariance) - np.sum(shared**2, axis=0), 0.0)
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """The expectation of one path at one instant, on the channels in which C is known.
+
+    Attributes
+    ----------
+    power
+        Shape (freq,): ADC^2/Ohm/MHz; W/MHz in front of the converter where there is no calibration.
+    errors
+        Independent errors of ln power, one standard deviation each, shape (error, freq).
+    contributions
+        What the power is made of, each referred to the start of the chain in the unit of P_sky, shape (freq,).
+    per_kelvin
+        P_sky of an isotropic sky of 1 K, shape (freq,); None where the antenna model is not known.
+    sefd_error
+        Standard deviation of ln SEFD, shape (freq,).
+    notes
+        What is not in it, a sentence each.
+    """
+
+    name: Mapping[str, Any]
+    lst_hours: float
+    frequency_mhz: Floats
+    power: Floats
+    errors: Floats
+    contributions: Mapping[str, Floats]
+    per_kelvin: Floats | None
+    sefd_error: Floats
+    noise: EventNoise
+    is_calibrated: bool
+    notes: Sequence[str]
+
+    def covariance(self) -> Floats:
+        """Covariance of the expected power, shape (freq, freq): how well it is known, without the noise of an event."""
+        return np.asarray(self.errors.T @ self.errors * np.outer(self.power, self.power))
+
+    @property
+    def sefd_jy(self) -> Floats:
+        """Flux of an unpolarised source at the zenith (D = 1) that doubles the power of this dipole, shape (freq,), Jy.
+
+        All noise and sky referred to the start of the chain, over what 1 Jy adds to P_sky (`point_source_power`).
+        """
+        one = np.ones(self.power.size)
+        return np.asarray(np.sum(list(self.contributions.values()), axis=0) / point_source_power(one, one))
+
+    def describe_adc(self) -> dict[str, Any]:
+        """Root mean square of the samples by the power in the channels: sum of power x width x R_r (Parseval)."""
+        part = self.power * guess_widths(self.frequency_mhz) * RESISTANCE_OHM
+        rms = float(part.sum()) ** 0.5
+        moved = np.concatenate([self.errors @ part, self.noise.shared @ part, np.sqrt(self.noise.own) * part])
+        band = self.frequency_mhz[[0, -1]].tolist()
+        return {"rms": rms, "sigma": float(np.linalg.norm(moved) / (2.0 * rms)), "band_mhz": band}
+
+    def as_dict(self) -> dict[str, Any]:
+        """The content of `GET /v1/predictions`, but for the instant."""
+        total = np.sum(list(self.contributions.values()), axis=0)
+        kelvin = self.per_kelvin
+        return {
+            **self.name,
+            "lst_h": self.lst_hours,
+            "frequency_mhz": self.frequency_mhz.tolist(),
+            "power": self.power.tolist(),
+            "power_unit": "ADC^2/Ohm/MHz" if self.is_calibrated else "W/MHz",
+            "covariance": self.covariance().tolist(),
+            "contributions": {
+                name: {"kelvin": None if kelvin is None else (p / kelvin).tolist(), "fraction": (p / total).tolist()}
+                for name, p in self.contributions.items()
+            },
+            "adc": self.describe_adc() if self.is_calibrated else None,
+            "sefd_jy": self.sefd_jy.tolist(),
+            "sefd_sigma": (self.sefd_jy * self.sefd_error).tolist(),
+            "noise": self.noise.as_dict(),
+            "notes": list(self.notes),
+        }
+
+
+def predict_path(
+    curve: CalibrationCurve,
+    simulation: Simulation,
+    time_unix: float,
+    noise: EventNoise | None = None,
+    budget: Budget | None = None,
+    temperature_c: float | None = None,
+    *,
+    is_own: bool = True,
+) -> Prediction:
+    """What a calibrated path should record at an instant.
+
+    Parameters
+    ----------
+    noise
+        How its events scatter; as published, averaged over 100 blocks, unless given.
+    budget
+        The systematic terms that the curve's covariance names.
+    is_own
+        Whether the curve was fitted to the path itself, and is not that of its station or of the array.
+    """
+    if curve.c is None or curve.dipole is None:
+        raise BadInputError(curve.name, "a curve of one polarisation that converged", curve.status)
+    at, instrument, table = curve.has_value, simulation.instrument, simulation.sky_power.of_station(curve.station)
+    lst = simulation.sidereal_time(curve.station, np.array([time_unix]))
+    sky = table.at(curve.dipole, lst)[0][at]
+    terms, of_chain = noise_at_input(curve, instrument), noise_of(curve, instrument)
+    contributions = {"sky": sky, **{name: one[at] for name, one in terms.items()}}
+    total = np.sum(list(contributions.values()), axis=0)
+    behind = [contributions[name.removeprefix("n_")] for name in of_chain.names[len(of_chain.front) :]]
+    # what an error of ln C moves: the sky about its mean, or all that one gain in front multiplies
+    about, in_front = sky - table.power[curve.dipole].mean(axis=0)[at], total - np.sum(behind, axis=0)
+    by_noise = [error[at] * about for error in statistical_errors(curve)]
+    own: Sequence[Floats] = [] if curve.covariance is None else [*np.nan_to_num(curve.covariance.own[:, at])]
+    by_gain = [error * (about if is_own else in_front) for error in own]
+    by_sky = [-0.5 * error[at] for error in _sky_errors(curve, simulation, lst)]
+    # SEFD goes with C^2/G_ant, in which the antenna gain cancels
+    of_gain = None if budget is None else replace(budget, terms=[one for one in budget.terms if not one.is_of_gain])
+    of_c = [error[at] for error in (*statistical_errors(curve), *systematic_errors(curve, of_gain))]
+    kelvin = _per_kelvin(simulation, curve.dipole)
+    return Prediction(
+        name={"station": curve.station, "antenna": curve.antenna, "dipole": curve.dipole},
+        lst_hours=float(lst[0]),
+        frequency_mhz=curve.frequency_mhz[at],
+        power=(instrument.antenna_gain / curve.c**2)[at] * total,
+        errors=np.reshape([-2.0 * one / total for one in (*by_noise, *by_gain, *by_sky)], (-1, sky.size)),
+        contributions=contributions,
+        per_kelvin=None if kelvin is None else kelvin[at],
+        sefd_error=2.0 * np.linalg.norm(of_c, axis=0),
+        noise=noise or EventNoise.expected(curve.frequency_mhz[at]),
+        is_calibrated=True,
+        notes=_tell_causes(simulation, temperature_c),
+    )
+
+
+def predict_alone(simulation: Simulation, station: str, antenna: int, dipole: str, time_unix: float) -> Prediction:
+    """What the simulation says of a path that nobody has calibrated: W/MHz in front of the converter, with A(nu) = 1.
+
+    Its error is that of the sky. Noise that the instrument does not state is not in it.
+    """
+    instrument, noise, instants = simulation.instrument, simulation.noise, np.array([time_unix])
+    instrument.require_dipoles(np.array([dipole]), "prediction")
+    loss = instrument.cables[instrument.cable_of(station, antenna, time_unix)]
+    lst, sky = simulation.sidereal_time(station, instants), simulation.sky_at(station, dipole, instants)[0]
+    is_known = np.append(noise.precision > 0, np.zeros(len(noise.behind), dtype=bool))
+    known = noise.before(np.where(noise.precision > 0, noise.mean, 0.0))
+    wrong = [sky * read_at(term.d_ln_p[dipole], lst - term.lst_hours[0])[0] for term in simulation.changes()]
+    errors = np.reshape([one / (sky + known) for one in wrong], (-1, sky.size))
+    free = ", ".join(np.array(noise.names)[~is_known])
+    return Prediction(
+        name={"station": station, "antenna": antenna, "dipole": dipole},
+        lst_hours=float(lst[0]),
+        frequency_mhz=instrument.frequency_mhz,
+        power=instrument.antenna_gain * loss * instrument.receiver_gain * (sky + known),
+        errors=errors,
+        contributions={"sky": sky, "known": known},
+        per_kelvin=_per_kelvin(simulation, dipole),
+        sefd_error=np.linalg.norm(errors, axis=0),
+        noise=EventNoise.expected(instrument.frequency_mhz),
+        is_calibrated=False,
+        notes=[f"noise that only data determine is not in it: {free}"] if free else [],
+    )
+
+
+def _tell_causes(simulation: Simulation, temperature_c: float | None) -> list[str]:
+    """What of temperature and adopted causes is not in a prediction."""
+    causes = ", ".join(one.cause for one in simulation.causes.causes)
+    if causes:
+        return [f"what the adopted causes do at this instant is not in it: {causes}"]
+    return [] if temperature_c is None else ["no cause of the model follows the temperature: it changes nothing"]
+
+
+def _sky_errors(curve: CalibrationCurve, simulation: Simulation, lst_hours: Floats) -> Iterator[Floats]:
+    """For each term of the sky what of dP_sky(t) is no straight line in P_sky, shape (freq,), in the unit of P_sky."""
+    dipole, table = str(curve.dipole), simulation.sky_power.of_station(curve.station)
+    for term in simulation.changes():
+        sky = table.at(dipole, term.lst_hours)
+        wrong, about = sky * term.d_ln_p[dipole], sky - sky.mean(axis=0)
+        line = np.sum(about * wrong, axis=0) / np.maximum(np.sum(about**2, axis=0), np.finfo(float).tiny)
+        yield read_at(wrong - wrong.mean(axis=0) - line * about, lst_hours - term.lst_hours[0])[0]
+
+
+def _per_kelvin(simulation: Simulation, dipole: str) -> Floats | None:
+    def integrate() -> Floats | None:
+        try:
+            return power_per_kelvin(simulation.instrument, dipole)
+        except BadInputError:  # nobody says how the antenna sees: P_sky was given
+            return None
+
+    found: Floats | None = simulation.made.get(("per kelvin", dipole), integrate)
+    return found
+
+
+def power_per_kelvin(instrument: Instrument, dipole: str) -> Floats:
+    """P_sky of an isotropic sky of 1 K, shape (freq,): eq. total_sky_power_eq with the integral of D over the sky."""
+    x, weight = np.polynomial.legendre.leggauss(RINGS)
+    zenith, azimuth = np.arccos((x + 1.0) / 2.0), 2.0 * np.pi * np.arange(SPOKES) / SPOKES
+    towards = np.meshgrid(zenith, azimuth, indexing="ij")
+    response = response_towards(instrument, dipole, *towards, antenna_of(instrument))
+    return np.asarray(power_per_kelvin_sr(instrument.frequency_mhz) * (np.pi * weight @ response.mean(axis=1)))

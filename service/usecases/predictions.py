@@ -1,0 +1,35 @@
+"""What a path should see at an instant, by the calibration that is then in effect."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+
+from lbacal_core.curves.covariance import parse_budget
+from lbacal_core.curves.validity import Instant
+from lbacal_core.simulation.simulation import Simulation
+from lbacal_core.uncertainty.prediction import Prediction, predict_path
+from service.storage.versions import MICROSECONDS
+from service.usecases.calibrations import Calibrations, CurveInEffect, select_paths
+
+
+@dataclass(frozen=True)
+class Predictions:
+    """Predicts what paths see."""
+
+    calibrations: Calibrations
+    simulation: Simulation
+
+    def of(
+        self, station: str, antenna: int, dipole: str, at: Instant, temperature_c: float | None
+    ) -> tuple[CurveInEffect, Prediction]:
+        """The curve in effect for a path, and what follows from it."""
+        found = self.calibrations.in_effect(at, select_paths(self.simulation.instrument, station, antenna, dipole))
+        curve = found.curves[0]
+        told = curve.told.curve
+        text = None if told.covariance is None else found.budgets.get(str(told.covariance.budget))
+        budget = None if text is None else parse_budget(json.loads(text))
+        is_own, seconds = curve.promotion.scope.antenna is not None, at / MICROSECONDS
+        return curve, predict_path(
+            told, self.simulation, seconds, budget=budget, temperature_c=temperature_c, is_own=is_own
+        )
