@@ -16,7 +16,7 @@ from lbacal.analysis.data import spectra_of
 from lbacal.analysis.instrument import Described, simulation_of
 from lbacal.analysis.result import Result
 from lbacal.pages.budget import describe_best, draw_budget, stack_terms, tabulate
-from lbacal.with_model import Extending, list_left_open
+from lbacal.with_model import Extended, read_open_terms
 from lbacal_core.calibration.chain_form import compare_forms
 from lbacal_core.curves.covariance import Budget, BudgetTerm
 from lbacal_core.grids import Floats
@@ -65,7 +65,7 @@ def budget(
     instrument: Described,
     sky_power: SkyPower | str | Path | None = None,
     sky: str = DEFAULT_SKY_BUDGET,
-    left_open: Extending | str | Path | None = None,
+    left_open: Extended = None,
 ) -> ErrorBudget:
     """How far C may be off, term by term as in Table 1 of the paper; every term is a refit of these spectra.
 
@@ -90,5 +90,5 @@ def budget(
     shared, of_antennas = compute_budget(measured, simulation, sky), measure_electronics(measured, simulation)
     terms = [*shared.terms, *([] if of_antennas is None else [of_antennas])]
     members = sorted(set(zip(measured.station.tolist(), measured.antenna.tolist(), strict=True)))
-    terms += [one.for_mean_of(members, terms[0].vectors) for one in list_left_open(left_open)]
+    terms += [one.for_mean_of(members, terms[0].vectors) for one in read_open_terms(left_open, "left_open")]
     return ErrorBudget.of(shared, terms)

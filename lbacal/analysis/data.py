@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from importlib import import_module
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from astropy import units as u
 from astropy.table import QTable
-from matplotlib.figure import Figure
 
 from lbacal.analysis.instrument import Described, core_of, simulation_of
 from lbacal.analysis.result import Result
-from lbacal.averaging import average_data
 from lbacal.calibration_files import holds_curves, read_calibrations
 from lbacal.chain import convert_number
 from lbacal.client import format_time, make_table
@@ -28,9 +27,18 @@ from lbacal.selection import (
     parse_selection,
     read_selected,
 )
-from lbacal_core.errors import MissingExtraError
+from lbacal_core.errors import BadInputError, MissingExtraError
 from lbacal_core.grids import Floats
+from lbacal_core.readers.open import choose_channels, open_source
+from lbacal_core.readers.source import Averaged
+from lbacal_core.readers.source import average as average_source
 from lbacal_core.spectra.spectra import Spectra, write_spectra
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+DEFAULT_INTERVAL_S = 900.0
+"""What one spectrum of `import_data` averages."""
 
 PATH_COLUMNS = ("station", "antenna", "dipole", "frequency_mhz", "c")
 
@@ -75,7 +83,7 @@ class BackgroundSpectra(Spectra):
             ],
             words=2,
             notes=self.notes,
-            draw=lambda: self.plot(Figure(layout="constrained").subplots()),
+            draw=lambda: self.plot(import_module("matplotlib.figure").Figure(layout="constrained").subplots()),
             draw_on=partial(_draw_powers, frequency_mhz=self.frequency_mhz, powers=powers),
             more=dict.fromkeys(SUFFIXES, partial(write_spectra, self)),
         )
@@ -84,9 +92,9 @@ class BackgroundSpectra(Spectra):
         """Median power of each station and dipole along frequency, with the range of 68 % of the spectra."""
         return self.shown.plot(ax)
 
-    def save(self, path: str | Path) -> None:
-        """Write a spectra file (.h5), a figure or a page."""
-        self.shown.save(path)
+    def save(self, path: str | Path, form: str | None = None) -> None:
+        """Write a spectra file (.h5), a figure or a page, as the end of the name says, or `form`."""
+        self.shown.save(path, form)
 
     def __repr__(self) -> str:
         """The title, and a row a station and dipole."""
@@ -175,13 +183,38 @@ def import_data(
     >>> spectra = lbacal.import_data("zen.uvh5", average=60, channel=1, band=(50, 200))  # doctest: +SKIP
     >>> spectra.save("S.h5")  # doctest: +SKIP
     """
+    if instrument is not None and channel is not None:
+        raise BadInputError("import", "instrument or channel", "both")
+    if events and average is not None:
+        raise BadInputError("import", "average or events", "both")
     interval, width = (
         None if value is None else convert_number(value, unit) for value, unit in ((average, u.s), (channel, u.MHz))
     )
+    for name, value in (("average", interval), ("channel", width)):
+        if value is not None and not 0 < value < np.inf:
+            raise BadInputError(name, "a number > 0", f"{value}")
+    interval = None if events else interval or DEFAULT_INTERVAL_S
     limits = None if band is None else (convert_number(band[0], u.MHz), convert_number(band[1], u.MHz))
-    core = None if instrument is None else core_of(instrument)
-    spectra, notes = average_data(Path(source), interval, core, width, limits, station, is_event_each=events)
-    return BackgroundSpectra.of(spectra, notes=notes)
+    opened = open_source(Path(source), station)
+    chosen = choose_channels(opened, None if instrument is None else core_of(instrument), limits, width)
+    result = average_source(opened, interval, chosen)
+    return BackgroundSpectra.of(result.spectra, notes=[*opened.notes, *_describe(result, interval)])
+
+
+def _describe(result: Averaged, interval_s: float | None) -> Iterator[str]:
+    if result.channels_left_out.size:
+        low, high = result.channels_left_out[[0, -1]]
+        yield f"{result.channels_left_out.size} channels between {low:g} and {high:g} MHz are flagged, left out"
+    if result.spectra_left_out:
+        yield f"{result.spectra_left_out} spectra lack one of the other channels, left out"
+    for flag, count in result.flags.items():
+        yield f"{count} spectra are flagged {flag!r}: the file keeps them, fits leave them out"
+    spectra, channels = result.spectra, result.spectra.frequency_mhz
+    of_what = "events" if interval_s is None else f"intervals of {interval_s:g} s"
+    yield (
+        f"{len(spectra)} spectra, {np.unique(spectra.event_id).size} {of_what} from {result.integrations} "
+        f"integrations, {channels.size} channels from {channels[0]:g} to {channels[-1]:g} MHz"
+    )
 
 
 def simulate(

@@ -19,7 +19,7 @@ from lbacal.client import make_table
 from lbacal.curve_table import CurveTable
 from lbacal.pages.fit import average_residuals, draw_c, draw_fit, draw_page
 from lbacal.pages.fit_summary import describe_error, explain_chi2, tabulate_curves
-from lbacal.with_model import Extended, extend_by
+from lbacal.with_model import Extended, read_model, read_open_terms
 from lbacal_core.audit.audit import audit_quickly
 from lbacal_core.calibration.paths import LEAST_COVERAGE
 from lbacal_core.curves.curves import CONVERGED, MISFIT, Anomalies, CalibrationCurve, FitReport
@@ -125,15 +125,14 @@ def fit(
     """
     if scope not in SCOPES:
         raise BadInputError("scope", f"one of {', '.join(SCOPES)}", repr(scope))
-    simulation, extension = simulation_of(instrument, sky_power), extend_by(with_)
-    extension.causes.require_one_c(extension.place)
-    if not extension.causes.is_plain:
-        simulation = simulation.with_causes(extension.causes)
+    simulation, causes = simulation_of(instrument, sky_power), read_model(with_, "with_")
+    simulation = simulation if causes.is_plain else simulation.with_causes(causes)
+    simulation.causes.require_one_c("with_")
     measured = spectra_of(spectra)
     audited = audit_quickly(measured, simulation.instrument)
     audited.require_power(measured.origin)
     tell(f"fit {len(measured)} spectra")
-    report = widen_by_open_terms(calibrate(measured, simulation, scope), extension.left_open)
+    report = widen_by_open_terms(calibrate(measured, simulation, scope), read_open_terms(with_, "with_"))
     report = audited.mark(report)
     tell("error of one event")
     error = measure_error(report, measured, simulation)

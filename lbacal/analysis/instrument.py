@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Union
 
 import numpy as np
 from astropy import units as u
@@ -15,9 +15,10 @@ from lbacal_core.instrument.antennas import ABSOLUTE, AntennaRecord, GainProvena
 from lbacal_core.instrument.antennas import Site as CoreSite
 from lbacal_core.instrument.instrument import Instrument as CoreInstrument
 from lbacal_core.instrument.instrument import load_instrument
-from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.skypower.table import SkyPower, read_sky_power
+
+if TYPE_CHECKING:
+    from lbacal_core.simulation.simulation import Simulation
+    from lbacal_core.skypower.table import SkyPower
 
 STATION, CABLE = "S1", "all"
 
@@ -125,6 +126,8 @@ class Instrument:
 
     def sky_power(self) -> SkyPower:
         """P_sky(LST, nu) of each dipole from the sky and antenna models that the instrument names."""
+        from lbacal_core.skypower.model import compute_sky_power
+
         return compute_sky_power(self.core)
 
     def __repr__(self) -> str:
@@ -137,21 +140,23 @@ class Instrument:
         )
 
 
-Described = Instrument | CoreInstrument | Simulation | str | Path
+Described = Union[Instrument, CoreInstrument, "Simulation", str, Path]
 """What a verb takes for the instrument: one from its parts, the name or the file of one, or one under a sky."""
 
 
-def core_of(instrument: Described) -> CoreInstrument:
+def core_of(instrument: Any) -> CoreInstrument:
     """The instrument as a value of `lbacal_core`."""
-    if isinstance(instrument, Simulation):
-        return instrument.instrument
-    if isinstance(instrument, Instrument):
-        return instrument.core
-    return instrument if isinstance(instrument, CoreInstrument) else load_instrument(str(instrument))
+    if isinstance(instrument, str | Path):
+        return load_instrument(str(instrument))
+    found: CoreInstrument = getattr(instrument, "core", getattr(instrument, "instrument", instrument))
+    return found
 
 
-def simulation_of(instrument: Described, sky_power: SkyPower | str | Path | None = None) -> Simulation:
+def simulation_of(instrument: Any, sky_power: SkyPower | str | Path | None = None) -> Simulation:
     """The instrument under its own sky, or under a P_sky that is given or read."""
+    from lbacal_core.simulation.simulation import Simulation
+    from lbacal_core.skypower.table import read_sky_power
+
     if isinstance(instrument, Simulation):
         return instrument
     given = read_sky_power(Path(sky_power)) if isinstance(sky_power, str | Path) else sky_power

@@ -18,9 +18,8 @@ from lbacal.analysis.result import Result
 from lbacal.chain import convert_number
 from lbacal.pages.curve import draw_change, draw_curve, draw_curve_page, draw_ranking
 from lbacal.pages.investigation import draw_page, draw_scores, draw_value, draw_value_on
-from lbacal.with_model import Extended, Extension, extend_by
+from lbacal.with_model import Extended, read_model
 from lbacal_core.audit.audit import audit_quickly
-from lbacal_core.causes.model import Model
 from lbacal_core.data.lofar import SUPERTERP
 from lbacal_core.discovery.curve_search import describe_curve, investigate_curve
 from lbacal_core.discovery.left_open import FoundValue, add_left_open, find_value
@@ -32,7 +31,6 @@ from lbacal_core.provenance import Provenance
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra
-from lbacal_core.uncertainty.left_open import OpenTerm, list_open_terms
 
 COLUMNS = ("cause", "station", "size", "sigma", "what is wrong")
 
@@ -43,47 +41,37 @@ class Investigation(Result):
 
     Attributes
     ----------
-    content
-        The report, as `lbacal investigate` writes it.
+    report
+        As `lbacal investigate` writes it.
     simulation
         With which the data were compared.
     """
 
-    content: Mapping[str, Any]
+    report: Mapping[str, Any]
     simulation: Simulation
     findings: Sequence[Finding]
+    number: None = None
 
     @property
     def verdict(self) -> str:
         """`consistent`, `explained` or `unexplained`."""
-        return str(self.content["verdict"])
+        return str(self.report["verdict"])
 
     @property
     def unexplained(self) -> Mapping[str, Any] | None:
         """Structure that no cause explains, as the report has it; None where nothing is left."""
-        found: Mapping[str, Any] | None = self.content["unexplained"]
+        found: Mapping[str, Any] | None = self.report["unexplained"]
         return found
-
-    @property
-    def left_open(self) -> Sequence[OpenTerm]:
-        """What it leaves open of C where no finding is adopted."""
-        return list_open_terms(self.content)
-
-    @property
-    def extension(self) -> Extension:
-        """All findings, and what is left open beside them."""
-        adopted = range(len(self.findings))
-        return Extension(Model.from_report(self.content), list_open_terms(self.content, adopted), "the findings")
 
     def extend(self) -> Simulation:
         """The simulation with all causes that were found; their sizes are fitted together with C."""
-        return self.simulation.with_causes(self.extension.causes)
+        return self.simulation.with_causes(read_model(self))
 
     @property
     def lines(self) -> list[str]:
         """Adopted causes with their sizes, the findings, what no cause explains, and what was noted of the data."""
         lines = []
-        for one in self.content.get("adopted", []):
+        for one in self.report.get("adopted", []):
             value, sigma, whom = one["size"]["value"], one["size"]["sigma"], f"{one['target']} of {one['station']}"
             lines.append(f"  adopted: {one['cause']} in {whom}, here {value:.3g} ± {sigma:.2g}")
         for finding in self.findings:
@@ -137,20 +125,9 @@ class Finding(Result):
         gain: Mapping[str, Any] = self.content["gain"]
         return gain
 
-    @property
-    def left_open(self) -> Sequence[OpenTerm]:
-        """What the investigation leaves open where this finding alone is adopted."""
-        return list_open_terms(self.report, [self.number])
-
-    @property
-    def extension(self) -> Extension:
-        """The finding, and what is left open beside it."""
-        causes = Model.from_report(self.report, self.number)
-        return Extension(causes, self.left_open, f"finding {self.number}")
-
     def extend(self) -> Simulation:
         """The simulation with this cause; its size is fitted together with C."""
-        return self.simulation.with_causes(self.extension.causes)
+        return self.simulation.with_causes(read_model(self))
 
     @property
     def lines(self) -> list[str]:
@@ -202,7 +179,7 @@ def investigate(
         return _investigate_curve(curve, simulation_of(instrument or SUPERTERP, sky_power), limits)
     if instrument is None:
         raise BadInputError("instrument", "an instrument beside spectra, or the name of one", "None")
-    simulation, causes = simulation_of(instrument, sky_power), extend_by(with_).causes
+    simulation, causes = simulation_of(instrument, sky_power), read_model(with_, "with_")
     simulation = simulation if causes.is_plain else simulation.with_causes(causes)
     measured = spectra_of(data)
     audited = audit_quickly(measured, simulation.instrument)
@@ -281,7 +258,7 @@ def _make(source: str, content: dict[str, Any], simulation: Simulation, figures:
         page=figures.page,
         as_dict=lambda: content,
         as_table=lambda: QTable(rows=rows or None, names=COLUMNS, dtype=[str] * len(COLUMNS)),
-        content=content,
+        report=content,
         simulation=simulation,
         findings=findings,
     )

@@ -83,8 +83,8 @@ class Result:
         figure: Figure = ax.figure
         return figure
 
-    def save(self, path: str | Path) -> None:
-        """Write it in the format that the end of the name says; a file of that name is replaced when all went well."""
+    def save(self, path: str | Path, form: str | None = None) -> None:
+        """Write it in the format that the end of the name says, or `form`; what was there stays if that fails."""
         writers: dict[str, Writer] = {}
         if self.as_dict is not None:
             writers[".json"] = self._write_json
@@ -93,7 +93,7 @@ class Result:
         writers |= {**self.more, ".html": self._write_page, **dict.fromkeys(IMAGES, self._write_figure)}
         file = Path(path)
         is_stream = file.exists() and not file.is_file()
-        suffix = self.fallback if is_stream else file.suffix.lower()
+        suffix = form or (self.fallback if is_stream else file.suffix.lower())
         if suffix not in writers:
             raise BadInputError(f"save {path}", f"a name that ends in {', '.join(writers)}", suffix or "no ending")
         with written_beside(file) as beside:

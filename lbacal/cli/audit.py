@@ -35,8 +35,8 @@ def audit(
     require_outputs({"--report": report, "--html": html}, {"DATA": data, "--instrument": instrument})
     found = audit_data(data, instrument, sky, antenna, average)
     print("\n".join([*found.lines, found.title]))
-    for path in (report, html):
+    for path, form in ((report, ".json"), (html, ".html")):
         if path is not None:
-            found.save(path)
+            found.save(path, form)
     if found.wrong:
         raise typer.Exit(EXIT_WRONG)

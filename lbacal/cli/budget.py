@@ -47,6 +47,6 @@ def budget(
     simulation = Simulation.load(instrument, sky_power)
     found = make_budget(measured, simulation, None, sky, left_open)
     print("\n".join([*found.lines, found.title]))
-    for path in (report, plot):
+    for path, form in ((report, ".json"), (plot, None)):
         if path is not None:
-            found.save(path)
+            found.save(path, form)

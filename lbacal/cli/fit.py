@@ -13,7 +13,7 @@ from lbacal.cli.options import InstrumentName, Since, SkyPowerFile, SpectraFiles
 from lbacal.cli.outputs import progress, require_image, require_outputs
 from lbacal.files import written_beside
 from lbacal.selection import find_spectra_files, parse_selection, read_selected
-from lbacal.with_model import HELP, extend_by, report_path
+from lbacal.with_model import HELP, read_model, report_path
 
 STEPS_OF_FIT = 2
 """What the progress bar counts beside the files: the fit, and the error of one event."""
@@ -66,21 +66,20 @@ def fit(
     )
     require_format("--output", output)
     require_image(plot)
-    extension = extend_by(with_, "--with")
-    extension.causes.require_one_c(extension.place)
+    read_model(with_).require_one_c(f"--with {with_}")
     simulation = Simulation.load(instrument, sky_power)
     given = "" if sky_power is None else f" --sky-power {sky_power}"
     rerun = f"{' '.join(str(path) for path in spectra)}{selection.options} --instrument {instrument}{given}"
     with progress(len(files) + STEPS_OF_FIT + (html is not None or plot is not None)) as tell:
         measured = read_selected(files, selection, time.time(), tell)
-        found = fit_spectra(measured, simulation, None, scope.value, extension, tell=tell)
+        found = fit_spectra(measured, simulation, None, scope.value, with_, tell=tell)
         with written_beside(report) as beside:
             write_fit_report(found.report, beside)
         found.save(output)
-        for drawn in (plot, html):
+        for drawn, form in ((plot, None), (html, ".html")):
             if drawn is not None:
                 tell("draw")
-                found.save(drawn)
+                found.save(drawn, form)
     written = " and ".join(str(path) for path in (output, report, html, plot) if path is not None)
     next_step = f"lbacal investigate {rerun} --report R.json --html R.html"
     said = [line.replace(NEXT_STEP, next_step) for line in found.lines]

@@ -8,7 +8,6 @@ from typing import Annotated
 import typer
 
 from lbacal.cli.outputs import require_outputs
-from lbacal.files import written_beside
 
 
 def import_(
@@ -34,14 +33,9 @@ def import_(
     Flagged samples count nowhere; quality flags of integrations stay with their spectra. Memory holds the averages and
     a minute of data.
     """
-    from lbacal.averaging import Named, average_data
-    from lbacal_core.instrument.instrument import load_instrument
-    from lbacal_core.spectra.spectra import write_spectra
+    from lbacal.analysis.data import import_data
 
     require_outputs({"--output": output}, {"SOURCE": source, "--instrument": instrument})
-    named = Named("--average", "--events", "--instrument", "--channel-mhz")
-    chain = load_instrument(instrument) if instrument else None
-    spectra, said = average_data(source, average, chain, channel_mhz, band, station, is_event_each=events, named=named)
-    with written_beside(output) as beside:
-        write_spectra(spectra, beside)
-    print("\n".join([*said[:-1], f"wrote {output}: {said[-1]}"]))
+    spectra = import_data(source, average, instrument, channel_mhz, band, station, events=events)
+    spectra.save(output, ".h5")
+    print("\n".join([*spectra.notes[:-1], f"wrote {output}: {spectra.notes[-1]}"]))

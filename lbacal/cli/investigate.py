@@ -11,7 +11,7 @@ import typer
 
 from lbacal.cli.options import Since, SkyPowerFile, Until, Year
 from lbacal.selection import Selection, find_spectra_files, parse_selection, read_selected
-from lbacal.with_model import HELP, extend_by, report_path
+from lbacal.with_model import HELP, read_model, report_path
 
 
 def investigate(
@@ -83,13 +83,13 @@ def investigate(
     inputs |= {"--lst-curve": lst_curve, "--sky-power": sky_power}
     inputs["--with"] = None if with_ is None else report_path(with_)
     require_outputs({"--report": report, "--html": html}, {**inputs, "--instrument": instrument})
-    extension = None if with_ is None else extend_by(with_, "--with")
+    read_model(with_)
     simulation = Simulation.load(instrument or "lofar-superterp", sky_power)
     measured = read_lst_curve(lst_curve) if lst_curve else read_selected(files, selection, time.time(), _say)
-    found = investigate_data(measured, simulation, None, extension, band, tell=_say)
-    for path in (report, html):
+    found = investigate_data(measured, simulation, None, with_, band, tell=_say)
+    for path, form in ((report, ".json"), (html, ".html")):
         if path is not None:
-            found.save(path)
+            found.save(path, form)
     print("\n".join([f"{found.verdict}; wrote {report}{f' and {html}' if html else ''}", *found.lines]))
 
 

@@ -32,7 +32,7 @@ def lst_curve(
     )
     require_image(plot)
     found = compare(curve, instrument, sky_power, band)
-    for path in (report, plot):
+    for path, form in ((report, ".json"), (plot, None)):
         if path is not None:
-            found.save(path)
+            found.save(path, form)
     print("\n".join([*found.lines, f"wrote {report}" + (f" and {plot}" if plot else "")]))

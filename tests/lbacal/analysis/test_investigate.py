@@ -69,7 +69,7 @@ def test_a_finding_has_its_size_its_gain_its_figure_and_the_simulation_with_it(f
 def test_the_simulation_with_the_cause_finds_nothing_more(late: Spectra, found: lbacal.Investigation) -> None:
     again = lbacal.investigate(late, found.findings[0].extend())
     assert (again.verdict, len(again.findings)) == ("consistent", 0)
-    assert again.content["adopted"][0]["size"]["value"] == pytest.approx(0.3, abs=0.08)
+    assert again.report["adopted"][0]["size"]["value"] == pytest.approx(0.3, abs=0.08)
 
 
 def test_a_fit_with_a_finding_is_that_of_its_report(late: Spectra, found: lbacal.Investigation, tmp_path: Path) -> None:

@@ -365,9 +365,9 @@ CURVE = ["lst-curve", str(measured_curve()), "--instrument", "instrument.json", 
 
 @pytest.mark.long
 def test_the_measured_curve_ends_in_a_report_and_a_plot(folder: Path, lbacal: Lbacal) -> None:
-    code, out, err = lbacal(*CURVE, "--report", "r.json", "--plot", "f.png")
+    code, out, err = lbacal(*CURVE, "--report", "report", "--plot", "f.png")
     assert (code, "chi2 per point" in out) == (0, True), err
-    assert json.loads((folder / "r.json").read_text())["points"] == 91
+    assert json.loads((folder / "report").read_text())["points"] == 91, "JSON, whatever its name"
     assert (folder / "f.png").read_bytes().startswith(b"\x89PNG")
 
 

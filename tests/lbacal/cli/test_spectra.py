@@ -204,9 +204,9 @@ def test_events_of_a_trigger_stay_single_and_keep_their_names_and_flags(tmp_path
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--events", "--average", "60"], "--average or --events"),
-        (["--average", "0"], "--average: expected a number > 0"),
-        (["--channel-mhz", "1", "--instrument", "lofar-superterp"], "--instrument or --channel-mhz"),
+        (["--events", "--average", "60"], "average or events"),
+        (["--average", "0"], "average: expected a number > 0"),
+        (["--channel-mhz", "1", "--instrument", "lofar-superterp"], "instrument or channel"),
         (["--band", "60", "80"], "some between 40 and 41 MHz"),
     ],
 )
