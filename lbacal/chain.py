@@ -59,7 +59,7 @@ class Stage:
         """The stage with its tables on the channels of an instrument."""
         is_free = isinstance(self.noise, str) and self.noise == FREE
         noise = None if self.noise is None or is_free else _temperature(self.noise, frequency_mhz)
-        return CoreStage(
+        stage = CoreStage(
             name=self.name or self.kind,
             kind=self.kind,
             gain=None if self.gain is None else convert_gain(self.gain, frequency_mhz).copy(),
@@ -68,6 +68,8 @@ class Stage:
             error_k=convert_number(self.error, u.K),
             solid_angle_sr=convert_number(self.solid_angle, u.sr),
         )
+        stage.require_whole(f"chain: stage {stage.name!r}")
+        return stage
 
 
 @dataclass(frozen=True)
@@ -110,11 +112,21 @@ class Chain:
     def cable_loss(self, frequency_mhz: Floats) -> Floats:
         """L_coax, shape (freq,)."""
         gains = [one.gain for one in self.core_stages(frequency_mhz) if one.kind == "cable" and one.gain is not None]
-        return gains[0] if gains else convert_gain(self.cable, frequency_mhz)
+        return gains[0] if gains else convert_gain(self.cable, frequency_mhz, largest=1.0)
 
 
-def convert_gain(gain: Any, frequency_mhz: Floats) -> Floats:
-    """Linear power gain of one stage on the channels, shape (freq,)."""
+def convert_gain(gain: Any, frequency_mhz: Floats, largest: float = np.inf) -> Floats:
+    """Linear power gain of one stage on the channels, shape (freq,): a factor above 0, and at most the largest."""
+    found = _convert_gain(gain, frequency_mhz)
+    wrong = found[~((found > 0) & (found <= largest))]
+    if wrong.size:
+        most = "" if np.isinf(largest) else f" and at most {largest:g}"
+        expected = f"a power factor above 0{most}, or decibels such as -20 * u.dB"
+        raise BadInputError("chain: gain", expected, f"{wrong[0]:g}")
+    return found
+
+
+def _convert_gain(gain: Any, frequency_mhz: Floats) -> Floats:
     if callable(gain):
         return np.broadcast_to(np.asarray(gain(frequency_mhz), dtype=float), frequency_mhz.shape)
     if isinstance(gain, str | Path):

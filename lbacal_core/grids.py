@@ -41,6 +41,10 @@ def require_same_grid(place: str, frequency_mhz: Floats, expected_mhz: Floats, e
         )
 
 
+HIGHEST_MHZ = 1e5
+"""Nobody receives the Galaxy at 100 GHz: larger numbers are Hz."""
+
+
 def require_channels(place: str, frequency_mhz: Floats) -> None:
     """Refuse a frequency axis that is empty, not finite, not positive or not rising."""
     if frequency_mhz.ndim != 1 or frequency_mhz.size == 0:
@@ -48,6 +52,8 @@ def require_channels(place: str, frequency_mhz: Floats) -> None:
     bad = np.flatnonzero(~(np.isfinite(frequency_mhz) & (frequency_mhz > 0)))
     if bad.size:
         raise BadInputError(f"{place}: frequency_mhz, channel {bad[0]}", "finite MHz > 0", f"{frequency_mhz[bad[0]]:g}")
+    if frequency_mhz[-1] > HIGHEST_MHZ:
+        raise BadInputError(f"{place}: frequency_mhz", "MHz", f"{frequency_mhz[-1]:g}, which looks like Hz")
     if np.any(np.diff(frequency_mhz) <= 0):
         k = int(np.flatnonzero(np.diff(frequency_mhz) <= 0)[0])
         raise BadInputError(

@@ -11,10 +11,12 @@ import numpy as np
 from astropy import units as u
 
 from lbacal.chain import Chain, convert_number, convert_numbers
+from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.antennas import ABSOLUTE, AntennaRecord, GainProvenance
 from lbacal_core.instrument.antennas import Site as CoreSite
 from lbacal_core.instrument.instrument import Instrument as CoreInstrument
 from lbacal_core.instrument.instrument import load_instrument
+from lbacal_core.instrument.stages import IN_LINE
 
 if TYPE_CHECKING:
     from lbacal_core.simulation.simulation import Simulation
@@ -87,6 +89,12 @@ class Instrument:
         arms = {letter: arm if isinstance(arm, tuple) else (arm, 0.0) for letter, arm in antenna.arms.items()}
         tilts = {letter: convert_number(tilt, u.deg) for letter, (_, tilt) in arms.items()}
         by_station = antennas if isinstance(antennas, Mapping) else {STATION: antennas}
+        stages = chain.core_stages(frequency_mhz)
+        if antenna.gain_source is None and (
+            chain.kelvin_error is not None or any(one.noise_k is not None and one.kind in IN_LINE for one in stages)
+        ):
+            expected = "where the G_ant of gain= in m^2 comes from, in words: kelvin are referred to the sky through it"
+            raise BadInputError("antenna: gain_source", expected, "None beside a chain that says kelvin")
         self.core = CoreInstrument(
             name=name,
             latitude_deg=site.core().latitude_deg,
@@ -106,7 +114,7 @@ class Instrument:
             sky=sky,
             dipole_tilt_deg={letter: tilt for letter, tilt in tilts.items() if tilt},
             gain_provenance=None if antenna.gain_source is None else GainProvenance(ABSOLUTE, antenna.gain_source),
-            stages=chain.core_stages(frequency_mhz),
+            stages=stages,
             kelvin_error=chain.kelvin_error,
             sites={station: one.core() for station, one in (sites or {}).items()},
         )

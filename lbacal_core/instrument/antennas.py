@@ -60,7 +60,9 @@ class Site:
         for field, (low, high) in RANGES.items():
             value = getattr(self, field)
             if not low <= value <= high:
-                raise BadInputError(f"{place}: {field}", f"{low:g} to {high:g}", f"{value}")
+                is_other = field == "latitude_deg" and low <= self.longitude_deg <= high
+                hint = f"; longitude is {self.longitude_deg:g}: are the two exchanged?" if is_other else ""
+                raise BadInputError(f"{place}: {field}", f"{low:g} to {high:g}", f"{value:g}{hint}")
 
     def as_dict(self) -> dict[str, float]:
         """The fields of an instrument file."""

@@ -69,6 +69,20 @@ class Stage:
         """Whether it adds anything."""
         return self.is_free or self.noise_k is not None
 
+    def require_whole(self, place: str) -> None:
+        """Refuse a stage of an unknown kind, without the gain that its kind has, or with an error of nothing."""
+        if self.kind not in KINDS:
+            raise BadInputError(f"{place}: kind", f"one of {', '.join(KINDS)}", repr(self.kind))
+        for values, field in ((self.gain, "gain"), (self.noise_k, "noise temperature")):
+            if values is not None:
+                _require_positive(values, f"{place}: {field}")
+        if self.error_k < 0 or (self.error_k > 0 and self.noise_k is None) or self.solid_angle_sr <= 0:
+            raise BadInputError(place, "an error >= 0 of a known noise temperature, and a solid angle > 0", "another")
+        if self.kind in ("lna", "filter", "amplifier") and self.gain is None:
+            raise BadInputError(place, "a gain", "none")
+        if self.kind not in (*IN_LINE, "antenna") and self.gain is not None:
+            raise BadInputError(place, f"no gain of what the antenna sees ({self.kind})", "one")
+
     def as_dict(self) -> dict[str, Any]:
         """The stage as JSON values, its tables on the channels of the instrument."""
         content: dict[str, Any] = {"name": self.name, "kind": self.kind}
@@ -178,29 +192,21 @@ def _parse_stage(content: Any, frequency_mhz: Floats, place: str, folder: Path |
     unknown = sorted(set(content) - set(FIELDS))
     if unknown:
         raise BadInputError(place, f"the fields {', '.join(FIELDS)}", unknown[0])
-    kind = content["kind"]
-    if kind not in KINDS:
-        raise BadInputError(f"{place}: kind", f"one of {', '.join(KINDS)}", repr(kind))
     noise = content.get("noise_temperature_k")
     error = parse_number(content.get("noise_temperature_error_k", 0.0), f"{place}: noise_temperature_error_k")
     angle = parse_number(content.get("solid_angle_sr", 1.0), f"{place}: solid_angle_sr")
     noise_k = None if noise in (None, FREE) else _noise(noise, frequency_mhz, f"{place}: noise_temperature_k")
-    if error < 0 or (error > 0 and noise_k is None) or angle <= 0:
-        raise BadInputError(place, "an error >= 0 of a known noise_temperature_k, and a solid angle > 0", "another")
-    gain = _gain(content, frequency_mhz, place, folder)
-    if kind in ("lna", "filter", "amplifier") and gain is None:
-        raise BadInputError(place, "a gain or gain_db", "none")
-    if kind not in (*IN_LINE, "antenna") and gain is not None:
-        raise BadInputError(place, f"no gain of what the antenna sees ({kind})", "one")
-    return Stage(
+    stage = Stage(
         name=parse_name(content["name"], f"{place}: name"),
-        kind=kind,
-        gain=gain,
+        kind=content["kind"],
+        gain=_gain(content, frequency_mhz, place, folder),
         noise_k=noise_k,
         is_free=noise == FREE,
         error_k=error,
         solid_angle_sr=angle,
     )
+    stage.require_whole(place)
+    return stage
 
 
 def _gain(content: Mapping[str, Any], frequency_mhz: Floats, place: str, folder: Path | None) -> Floats | None:

@@ -126,14 +126,14 @@ def test_a_touchstone_file_of_one_port_or_none_at_all_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ({}, "a gain or gain_db, found none"),
+        ({}, "a gain, found none"),
         ({"gain": 1, "gain_db": 0}, "gain or gain_db, found both"),
         ({"gain": [1, 2]}, "one number, 3 or a table with frequency_mhz, found 2"),
         ({"gain": 0}, "numbers > 0, found 0.0"),
         ({"gain": {"frequency_mhz": [55, 90], "gain": [1, 1]}}, "a table from 50 to 80 MHz, found 55 to 90 MHz"),
         ({"gain": "f.s2p"}, "no folder to look for files in"),
         ({"gain": 1, "noise": 3}, "noise_temperature_k, .*found noise"),
-        ({"gain": 1, "noise_temperature_error_k": 3}, "an error >= 0 of a known noise_temperature_k"),
+        ({"gain": 1, "noise_temperature_error_k": 3}, "an error >= 0 of a known noise temperature"),
         ({"gain": 1, "noise_temperature_k": "unknown"}, "a finite number, found 'unknown'"),
     ],
 )
