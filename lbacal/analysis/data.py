@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -83,7 +82,6 @@ class BackgroundSpectra(Spectra):
             ],
             words=2,
             notes=self.notes,
-            draw=lambda: self.plot(import_module("matplotlib.figure").Figure(layout="constrained").subplots()),
             draw_on=partial(_draw_powers, frequency_mhz=self.frequency_mhz, powers=powers),
             more=dict.fromkeys(SUFFIXES, partial(write_spectra, self)),
         )

@@ -140,7 +140,10 @@ def fit(
     explained = [explain_chi2(report.curves)] if any(curve.c is not None for curve in report.curves) else []
     counted = sum(curve.status == CONVERGED for curve in report.curves)
     content = partial(_content_of, report, simulation)
-    draw = partial(_draw, report, simulation, measured)
+
+    def draw() -> Figure:
+        return draw_fit(report, average_residuals(measured, report.curves, simulation), simulation)
+
     return Calibration(
         title=f"{simulation.instrument.name}: {counted} of {len(report.curves)} curves converged",
         rows=tabulate_curves(report.curves),
@@ -168,10 +171,6 @@ def _content_of(report: FitReport, simulation: Simulation) -> Mapping[str, Any]:
 
 def _write_curves(content: Callable[[], Mapping[str, Any]], kind: str, path: Path) -> None:
     write_calibrations(content(), path, kind)
-
-
-def _draw(report: FitReport, simulation: Simulation, spectra: Spectra) -> Figure:
-    return draw_fit(report, average_residuals(spectra, report.curves, simulation), simulation)
 
 
 def _describe_rest(report: FitReport, simulation: Simulation, spectra: int) -> Iterator[str]:

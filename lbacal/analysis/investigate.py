@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -36,105 +36,58 @@ COLUMNS = ("cause", "station", "size", "sigma", "what is wrong")
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
-class Investigation(Result):
-    """The verdict, the causes that were found, and what is left.
-
-    Attributes
-    ----------
-    report
-        As `lbacal investigate` writes it.
-    simulation
-        With which the data were compared.
-    """
+class Extension(Result):
+    """What may extend a simulation: the report of an investigation, or by its number one of its findings."""
 
     report: Mapping[str, Any]
     simulation: Simulation
-    findings: Sequence[Finding]
-    number: None = None
-
-    @property
-    def verdict(self) -> str:
-        """`consistent`, `explained` or `unexplained`."""
-        return str(self.report["verdict"])
-
-    @property
-    def unexplained(self) -> Mapping[str, Any] | None:
-        """Structure that no cause explains, as the report has it; None where nothing is left."""
-        found: Mapping[str, Any] | None = self.report["unexplained"]
-        return found
+    number: int | None = None
 
     def extend(self) -> Simulation:
-        """The simulation with all causes that were found; their sizes are fitted together with C."""
+        """The simulation with what was found; sizes are fitted together with C."""
         return self.simulation.with_causes(read_model(self))
-
-    @property
-    def lines(self) -> list[str]:
-        """Adopted causes with their sizes, the findings, what no cause explains, and what was noted of the data."""
-        lines = []
-        for one in self.report.get("adopted", []):
-            value, sigma, whom = one["size"]["value"], one["size"]["sigma"], f"{one['target']} of {one['station']}"
-            lines.append(f"  adopted: {one['cause']} in {whom}, here {value:.3g} ± {sigma:.2g}")
-        for finding in self.findings:
-            lines += finding.lines
-        if self.unexplained:
-            lines.append(f"  {self.unexplained['description']} ({write_chance(self.unexplained['p_value'])})")
-            lines += [f"    similar to: {one['sentence']}" for one in self.unexplained["similar_to"]]
-        return [*lines, *self.notes]
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
-class Finding(Result):
+class Finding(Extension):
     """One cause that was found.
 
     Attributes
     ----------
-    number, report
-        Its number in the report, and the report.
-    simulation
-        With which the data were compared.
+    content
+        The finding as the report has it.
+    cause, sentence
+        Its name in the catalogue (docs/causes.md), and what is wrong in one sentence.
+    significance
+        Standard deviations, after the look-elsewhere correction over the whole catalogue.
+    gain
+        Chi^2 before and after, and the gain in likelihood on held-out events.
     """
 
-    number: int
-    report: Mapping[str, Any]
-    simulation: Simulation
+    content: Mapping[str, Any]
+    cause: str
+    sentence: str
+    significance: float
+    gain: Mapping[str, Any]
 
-    @property
-    def content(self) -> Mapping[str, Any]:
-        """The finding as the report has it."""
-        found: Mapping[str, Any] = self.report["findings"][self.number]
-        return found
 
-    @property
-    def cause(self) -> str:
-        """Its name in the catalogue (docs/causes.md)."""
-        return str(self.content["cause"])
+@dataclass(frozen=True, repr=False, kw_only=True)
+class Investigation(Extension):
+    """What the simulation gets wrong.
 
-    @property
-    def sentence(self) -> str:
-        """What is wrong, in one sentence."""
-        return str(self.content["sentence"])
+    Attributes
+    ----------
+    verdict
+        `consistent`, `explained` or `unexplained`.
+    findings
+        The causes that were found, the most significant first.
+    unexplained
+        Structure that no cause explains, as the report has it; None where nothing is left.
+    """
 
-    @property
-    def significance(self) -> float:
-        """Standard deviations, after the look-elsewhere correction over the whole catalogue."""
-        return float(self.content["significance_sigma"])
-
-    @property
-    def gain(self) -> Mapping[str, Any]:
-        """What the cause gains: chi^2 before and after, and the likelihood on held-out events."""
-        gain: Mapping[str, Any] = self.content["gain"]
-        return gain
-
-    def extend(self) -> Simulation:
-        """The simulation with this cause; its size is fitted together with C."""
-        return self.simulation.with_causes(read_model(self))
-
-    @property
-    def lines(self) -> list[str]:
-        """The sentence, and the causes that these data cannot tell it from."""
-        rivals = ", ".join(self.content["indistinguishable"])
-        told = [f"  {self.significance:.1f} sigma: {self.sentence}"]
-        return [*told, *([f"    these data cannot tell it from {rivals}"] if rivals else [])]
+    verdict: str
+    findings: Sequence[Finding]
+    unexplained: Mapping[str, Any] | None
 
 
 def investigate(
@@ -229,30 +182,36 @@ class Figures(NamedTuple):
 
 
 def _make(source: str, content: dict[str, Any], simulation: Simulation, figures: Figures) -> Investigation:
-    findings = []
-    for number, one in enumerate(content["findings"]):
-        gains = [(name, f"{value:.4g}") for name, value in one["gain"].items() if isinstance(value, float | int)]
-        findings.append(
-            Finding(
-                title=f"{one['cause']} {_size(one)}",
-                rows=[("gain", ""), *gains],
-                notes=[one["sentence"]],
-                draw=partial(figures.draw_finding, one),
-                draw_on=partial(figures.draw_finding_on, one),
-                as_dict=partial(dict, one),
-                number=number,
-                report=content,
-                simulation=simulation,
-            )
+    findings = [
+        Finding(
+            title=f"{one['cause']} {_size(one)}",
+            rows=[("gain", ""), *((k, f"{v:.4g}") for k, v in one["gain"].items() if isinstance(v, float | int))],
+            told=list(_tell_finding(one)),
+            notes=[one["sentence"]],
+            draw=partial(figures.draw_finding, one),
+            draw_on=partial(figures.draw_finding_on, one),
+            as_dict=partial(dict, one),
+            report=content,
+            simulation=simulation,
+            number=number,
+            content=one,
+            cause=one["cause"],
+            sentence=one["sentence"],
+            significance=one["significance_sigma"],
+            gain=one["gain"],
         )
+        for number, one in enumerate(content["findings"])
+    ]
     rows = [
         (one.cause, one.content["where"]["station"] or "", _size(one.content), f"{one.significance:.1f}", one.sentence)
         for one in findings
     ]
+    notes = [f"{name}: {note}" for name, note in content["provenance"].get("notes", {}).items()]
     return Investigation(
         title=f"{source}: {content['verdict']}",
         rows=[COLUMNS, *rows],
-        notes=[f"{name}: {note}" for name, note in content["provenance"].get("notes", {}).items()],
+        told=[*_tell(content), *notes],
+        notes=notes,
         draw=figures.draw,
         draw_on=figures.draw_on,
         page=figures.page,
@@ -260,8 +219,29 @@ def _make(source: str, content: dict[str, Any], simulation: Simulation, figures:
         as_table=lambda: QTable(rows=rows or None, names=COLUMNS, dtype=[str] * len(COLUMNS)),
         report=content,
         simulation=simulation,
+        verdict=content["verdict"],
         findings=findings,
+        unexplained=content["unexplained"],
     )
+
+
+def _tell(content: Mapping[str, Any]) -> Iterator[str]:
+    """Adopted causes with their sizes, the findings, and what no cause explains."""
+    for one in content.get("adopted", []):
+        value, sigma, whom = one["size"]["value"], one["size"]["sigma"], f"{one['target']} of {one['station']}"
+        yield f"  adopted: {one['cause']} in {whom}, here {value:.3g} ± {sigma:.2g}"
+    for one in content["findings"]:
+        yield from _tell_finding(one)
+    left = content["unexplained"]
+    if left:
+        yield f"  {left['description']} ({write_chance(left['p_value'])})"
+        yield from (f"    similar to: {one['sentence']}" for one in left["similar_to"])
+
+
+def _tell_finding(finding: Mapping[str, Any]) -> Iterator[str]:
+    yield f"  {finding['significance_sigma']:.1f} sigma: {finding['sentence']}"
+    if finding["indistinguishable"]:
+        yield f"    these data cannot tell it from {', '.join(finding['indistinguishable'])}"
 
 
 def _size(finding: Mapping[str, Any]) -> str:

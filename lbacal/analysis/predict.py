@@ -12,7 +12,6 @@ import h5py
 import numpy as np
 from astropy import units as u
 from astropy.table import QTable
-from matplotlib.figure import Figure
 
 from lbacal.analysis.fit import SHOWN_NAMES, Calibration
 from lbacal.analysis.instrument import Described, simulation_of
@@ -128,7 +127,6 @@ def _make(content: Mapping[str, Any]) -> Prediction:
     if adc is not None:
         low, high = adc["band_mhz"]
         shown = [f"the ADC shows {adc['rms']:.2f} ± {adc['sigma']:.2f} counts r.m.s. by {low:g}-{high:g} MHz"]
-    draw_on = partial(_draw, nu=nu, power=power, bands={"one event": event_sigma, "known to": sigma})
     write = partial(write_prediction, content)
     return Prediction(
         title=f"{content['station']} {content['antenna']} {content['dipole']} at {content['at']}, "
@@ -137,8 +135,7 @@ def _make(content: Mapping[str, Any]) -> Prediction:
             [f"{name}, {one.unit}".rstrip(", "), *(f"{one[k].value:.4g}" for k in at)] for name, one in columns.items()
         ],
         notes=[*shown, f"noise of an event: {content['noise']['source']}", *content["notes"]],
-        draw=lambda: draw_on(Figure(layout="constrained").subplots()),
-        draw_on=draw_on,
+        draw_on=partial(_draw, nu=nu, power=power, bands={"one event": event_sigma, "known to": sigma}),
         as_dict=lambda: content,
         as_table=lambda: QTable(columns),
         more={".h5": write, ".hdf5": write},
@@ -172,12 +169,10 @@ def _write_group(group: h5py.Group, content: Mapping[str, Any]) -> None:
             group.attrs[name] = "; ".join(value) if isinstance(value, list) else value
 
 
-def _draw(axes: Any, nu: Floats, power: Floats, bands: Mapping[str, Floats]) -> Figure:
+def _draw(axes: Any, nu: Floats, power: Floats, bands: Mapping[str, Floats]) -> None:
     """The expected power with what one event scatters about it, and how well it is known."""
     axes.plot(nu, power, color="black", label="expected")
     for label, sigma in bands.items():
         axes.fill_between(nu, power - sigma, power + sigma, alpha=0.3, lw=0, label=f"{label}, 68 %")
     axes.set(xlabel="frequency (MHz)", ylabel="power", yscale="log")
     axes.legend(fontsize=8, frameon=False)
-    figure: Figure = axes.figure
-    return figure

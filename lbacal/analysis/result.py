@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from html import escape
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -41,8 +42,10 @@ class Result:
         How many of their columns are words, from the first on; the others are numbers.
     notes
         What else there is to know, a sentence each.
-    draw, draw_on
-        Make a figure of all that there is to see; draw what matters most on axes.
+    told
+        The lines that are printed, where these are not the rows and the notes.
+    draw_on, draw
+        Draw what matters most on axes; make a figure of all that there is to see, where that is more.
     as_table, as_dict, page
         Make a table of its numbers, with units; its content as JSON values; an HTML page. None where there is none.
     more
@@ -53,10 +56,11 @@ class Result:
 
     title: str
     rows: Sequence[Row]
-    draw: Callable[[], Figure]
     draw_on: Callable[[Any], object]
+    draw: Callable[[], Figure] | None = None
     words: int = 1
     notes: Sequence[str] = ()
+    told: Sequence[str] | None = None
     as_table: Callable[[], QTable] | None = None
     as_dict: Callable[[], Mapping[str, Any]] | None = None
     page: Callable[[], str] | None = None
@@ -73,24 +77,29 @@ class Result:
     @property
     def lines(self) -> list[str]:
         """The rows and the notes as lines of text."""
-        return [*align(self.rows, self.words), *self.notes]
+        return [*align(self.rows, self.words), *self.notes] if self.told is None else list(self.told)
 
     def plot(self, ax: Any = None) -> Figure:
         """All that there is to see as a figure; or what matters most, on axes of matplotlib."""
-        if ax is None:
+        if ax is None and self.draw is not None:
             return self.draw()
-        self.draw_on(ax)
-        figure: Figure = ax.figure
+        axes = import_module("matplotlib.figure").Figure(layout="constrained").subplots() if ax is None else ax
+        self.draw_on(axes)
+        figure: Figure = axes.figure
         return figure
 
     def save(self, path: str | Path, form: str | None = None) -> None:
         """Write it in the format that the end of the name says, or `form`; what was there stays if that fails."""
         writers: dict[str, Writer] = {}
         if self.as_dict is not None:
-            writers[".json"] = self._write_json
+            writers[".json"] = partial(_write_json, self.as_dict)
         if self.as_table is not None:
             writers |= {suffix: partial(self._write_table, kind=kind) for suffix, kind in TABLES.items()}
-        writers |= {**self.more, ".html": self._write_page, **dict.fromkeys(IMAGES, self._write_figure)}
+        writers |= {
+            **self.more,
+            ".html": self._write_page,
+            **dict.fromkeys(IMAGES, lambda out: self.plot().savefig(out, dpi=150)),
+        }
         file = Path(path)
         is_stream = file.exists() and not file.is_file()
         suffix = form or (self.fallback if is_stream else file.suffix.lower())
@@ -99,19 +108,12 @@ class Result:
         with written_beside(file) as beside:
             writers[suffix](beside)
 
-    def _write_json(self, path: Path) -> None:
-        content = None if self.as_dict is None else self.as_dict()
-        path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-
     def _write_page(self, path: Path) -> None:
         from lbacal.pages.report import embed, fill_report
 
         own: dict[str, Any] = {"title": self.title, "rows": self.rows, "notes": self.notes}
-        page = self.page() if self.page else fill_report("result.html", **own, figure=embed(self.draw()))
+        page = self.page() if self.page else fill_report("result.html", **own, figure=embed(self.plot()))
         path.write_text(page, encoding="utf-8")
-
-    def _write_figure(self, path: Path) -> None:
-        self.draw().savefig(path, dpi=150)
 
     def _write_table(self, path: Path, kind: str) -> None:
         """Write the numbers. FITS and HDF5 hold ASCII: other characters are written as escapes."""
@@ -131,3 +133,7 @@ class Result:
         body = "".join(f"<tr>{cells}</tr>" for cells in [head.replace("td>", "th>"), *rows])
         notes = "".join(f"<p>{escape(note)}</p>" for note in self.notes)
         return f"<p>{escape(self.title)}</p><table>{body}</table>{notes}"
+
+
+def _write_json(content: Callable[[], Mapping[str, Any]], path: Path) -> None:
+    path.write_text(json.dumps(content(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
