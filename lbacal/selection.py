@@ -72,7 +72,9 @@ def find_spectra_files(paths: Sequence[Path]) -> list[Path]:
             inside = [file for file in sorted(path.rglob("*")) if file.suffix in SUFFIXES and _is_spectra(file)]
             if not inside:
                 raise BadInputError(
-                    f"{path}", f"spectra files ({FORMAT}; {', '.join(SUFFIXES)})", "none in this folder"
+                    f"{path}",
+                    f"spectra files ({FORMAT}; {', '.join(SUFFIXES)})",
+                    "none in this folder (lbacal import makes them of other formats)",
                 )
             found |= dict.fromkeys(file.resolve() for file in inside)
         else:
