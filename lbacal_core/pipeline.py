@@ -4,7 +4,7 @@ P_sky(LST, nu)      lbacal_core.skypower                the Galaxy, seen by the 
 P = s P_sky + b     lbacal_core.calibration.lines       a straight line per channel and path
 N_LNA, N / G_ant    lbacal_core.calibration.chain_form  where noise enters, by the odds that the data give
 b = N_LNA s + ...   lbacal_core.calibration.separable   the chain ties the intercepts together
-C = (G_ant / s)^1/2 lbacal_core.chain                   the calibration factor
+C = (G_ant / s)^1/2 lbacal_core.instrument.chain        the calibration factor
 P / P(causes)       lbacal_core.discovery.calibrate     what the simulation's causes do, their sizes fitted with C
 sigma_sys(C)        lbacal_core.uncertainty             every input that may be wrong, exchanged and fitted again
 """

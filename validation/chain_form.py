@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 
 from lbacal_core.calibration.chain_form import compare_forms
-from lbacal_core.chain.model import BEHIND, PUBLISHED
 from lbacal_core.discovery.report import investigate
+from lbacal_core.instrument.chain import BEHIND, PUBLISHED
 from lbacal_core.pipeline import calibrate
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.spectra import Spectra, read_spectra

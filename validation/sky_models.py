@@ -14,6 +14,7 @@ from lbacal_core.antenna.lofar import load_hamaker
 from lbacal_core.data.tables import read_columns
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument, load_instrument
+from lbacal_core.instrument.power_unit import IMPEDANCE_OF_FREE_SPACE, RESISTANCE_OHM
 from lbacal_core.lstcurve.curve import (
     AS_RECORDED,
     LstCurve,
@@ -26,7 +27,6 @@ from lbacal_core.sky.names import load_sky
 from lbacal_core.skypower.direct import sum_over_pixels
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.modes import sky_power_at, sky_power_modes
-from lbacal_core.skypower.power import IMPEDANCE_OF_FREE_SPACE, RESISTANCE_OHM
 from lbacal_core.skypower.table import SkyPower
 from validation.machinery.claims import Found, exactly, worst_of
 from validation.machinery.parts import SHARED, Part, Row

@@ -1,4 +1,4 @@
-"""The form of the chain: what enters in front of A(nu), by the odds that data give each of `chain.model.FORMS`.
+"""The form of the chain: what enters in front of A(nu), by the odds that data give each of `instrument.chain.FORMS`.
 
 The forms are compared on the lines (s, b) of the mean path of each polarisation. With the noise N(nu) = n F in front
 the intercepts are b = N s + H q, so that z(n) = b - N s has the mean H q and the covariance
@@ -31,9 +31,9 @@ from lbacal_core.calibration.channels import solve_without_interference
 from lbacal_core.calibration.lines import PathLines, fit_lines, harmonics_at, look_beside, move_lines
 from lbacal_core.calibration.paths import MIN_LST_BINS, Paths, paths_of_scope, require_one_cable_each
 from lbacal_core.calibration.singles import chain_forms
-from lbacal_core.chain.model import BEHIND, FORMS, PUBLISHED, SLOPED, Intercepts, noise_constants
 from lbacal_core.data.prior import read_prior
 from lbacal_core.grids import Floats
+from lbacal_core.instrument.chain import BEHIND, FORMS, PUBLISHED, SLOPED, Intercepts, noise_constants
 from lbacal_core.linear import invert_symmetric, solve_symmetric
 from lbacal_core.simulation.prior import SKY_HARMONICS, SkyPrior
 from lbacal_core.simulation.simulation import Simulation

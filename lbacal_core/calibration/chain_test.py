@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from lbacal_core.calibration.lines import Lines, Look, PathLines, harmonics_at, look_beside, move_lines, move_lines_by
-from lbacal_core.chain.model import Intercepts
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.grids import Floats
+from lbacal_core.instrument.chain import Intercepts
 from lbacal_core.linear import find_whitener, invert_symmetric, solve_symmetric
 from lbacal_core.simulation.prior import SKY_HARMONICS, Mistake, SkyPrior
 

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.calibration.separable import SeparableSolution, solve_separable
-from lbacal_core.chain.model import Intercepts
 from lbacal_core.curves.curves import INTERFERENCE, OK, OUTSIDE, UNCERTAIN, MergedConstants
 from lbacal_core.grids import Floats
+from lbacal_core.instrument.chain import Intercepts
 from lbacal_core.linear import solve_symmetric
 
 Booleans = NDArray[np.bool_]

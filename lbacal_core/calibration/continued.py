@@ -19,10 +19,10 @@ from lbacal_core.calibration.lines import Lines, continue_lines
 from lbacal_core.calibration.paths import MeanOfEvents, Paths
 from lbacal_core.calibration.singles import MIN_EVENTS, relative_variance_of
 from lbacal_core.calibration.years import Beside, lines_of, pick_beside, solve_together
-from lbacal_core.chain.model import calibration_factor
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.curves.kept_lines import KeptLines, MemberLines, Owner
 from lbacal_core.grids import Floats
+from lbacal_core.instrument.chain import calibration_factor
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.blocks import SpectraBlock, split_into_blocks
 from lbacal_core.spectra.screening import LARGEST_SHARE_OF_LATER, may_be_left_out

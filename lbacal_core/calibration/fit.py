@@ -43,7 +43,6 @@ from lbacal_core.calibration.separable import SeparableSolution
 from lbacal_core.calibration.singles import MIN_EVENTS, chain_forms
 from lbacal_core.calibration.spreads import measure_spreads
 from lbacal_core.calibration.years import FEWEST_EVENTS, Beside, Together, lend, pick_beside, solve_together
-from lbacal_core.chain.model import calibration_factor
 from lbacal_core.curves.covariance import CurveCovariance, compress_covariance
 from lbacal_core.curves.curves import (
     CONVERGED,
@@ -63,6 +62,7 @@ from lbacal_core.curves.kept_lines import KeptLines
 from lbacal_core.curves.reference_chain import CableTable, ReferenceChain
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_same_grid
+from lbacal_core.instrument.chain import calibration_factor
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import Provenance
 from lbacal_core.simulation.simulation import Simulation

@@ -29,8 +29,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.chain.model import Intercepts
 from lbacal_core.grids import Floats
+from lbacal_core.instrument.chain import Intercepts
 from lbacal_core.linear import invert_symmetric, scale_to_unit_diagonal, solve_symmetric
 
 MAX_ITERATIONS = 50

@@ -25,10 +25,10 @@ from lbacal_core.calibration.channels import Booleans, solve_without_interferenc
 from lbacal_core.calibration.lines import Lines, NoiseLevels, SharedNoise, continue_lines
 from lbacal_core.calibration.paths import Paths
 from lbacal_core.calibration.separable import SeparableSolution
-from lbacal_core.chain.model import Intercepts
 from lbacal_core.curves.curves import Repeated
 from lbacal_core.curves.kept_lines import KeptLines, Owner
 from lbacal_core.grids import Floats
+from lbacal_core.instrument.chain import Intercepts
 from lbacal_core.linear import invert_symmetric, solve_symmetric
 
 MOST_ROUNDS, SMALLEST_STEP = 12, 1e-4

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lbacal_core.causes.cause import FEWEST_KNOWN, SCOPES, TEMPERATURE, YEAR_S, Cause, Conditions, SizeRange, Template
-from lbacal_core.chain.model import ChainTerms
 from lbacal_core.grids import Floats
+from lbacal_core.instrument.chain import ChainTerms
 
 NO_TEMPERATURE = f"no column {TEMPERATURE} that varies and is known on {FEWEST_KNOWN} events"
 

@@ -11,8 +11,8 @@ from scipy.interpolate import make_smoothing_spline
 
 from lbacal_core.antenna.lofar import ResonanceCircuit
 from lbacal_core.causes.cause import RAIN, TEMPERATURE, Cause, Conditions, SizeRange, Template, read_between
-from lbacal_core.chain.model import ChainTerms
 from lbacal_core.grids import Floats
+from lbacal_core.instrument.chain import ChainTerms
 
 SEASON_SPAN_S = 250 * 86_400.0
 """Shorter data cannot tell a season from a drift."""

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from lbacal_core.chain.model import ChainTerms, Intercepts, three_constants
 from lbacal_core.grids import Floats
+from lbacal_core.instrument.chain import ChainTerms, Intercepts, three_constants
 from lbacal_core.linear import fit_least_squares
 from lbacal_core.skypower.table import read_at
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from lbacal_core.causes.amplifier import StepCause, TemperatureCause, step_template
 from lbacal_core.causes.cause import TEMPERATURE, Cause, Conditions, SizeRange, Template, read_between
-from lbacal_core.chain.model import ChainTerms
 from lbacal_core.grids import Floats
+from lbacal_core.instrument.chain import ChainTerms
 
 
 @dataclass(frozen=True)

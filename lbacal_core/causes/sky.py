@@ -9,9 +9,9 @@ from functools import partial
 import numpy as np
 
 from lbacal_core.causes.cause import Cause, Conditions, SizeRange, Template
-from lbacal_core.chain.model import ChainTerms
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
+from lbacal_core.instrument.chain import ChainTerms
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.linear import pseudo_invert
 from lbacal_core.sky.model import SOURCES

@@ -20,7 +20,6 @@ from lbacal_core.calibration.singles import MIN_EVENTS
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import Cause, Conditions, SizeRange, Template, signature
 from lbacal_core.causes.model import AdoptedCause, Model
-from lbacal_core.chain.model import ChainTerms
 from lbacal_core.discovery.baseline import fit_baseline, leave_out_deaf
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
 from lbacal_core.discovery.policy import Policy
@@ -30,6 +29,7 @@ from lbacal_core.discovery.station import SkyModes, Station, gather_stations, mo
 from lbacal_core.discovery.view import SMALLEST_SHARE
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
+from lbacal_core.instrument.chain import ChainTerms
 from lbacal_core.linear import invert_symmetric
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.spectra import Spectra

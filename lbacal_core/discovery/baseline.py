@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from lbacal_core.calibration.lines import ChainForms, fit_lines
 from lbacal_core.calibration.separable import SeparableSolution, solve_separable
-from lbacal_core.chain.model import ChainTerms
 from lbacal_core.discovery.station import Station
 from lbacal_core.grids import Floats
+from lbacal_core.instrument.chain import ChainTerms
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,6 @@ from lbacal_core.calibration.chain_form import FORM_OF_CHAIN, PUBLISHED_FORM, Ch
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.calibration.years import Beside
 from lbacal_core.causes.model import Model
-from lbacal_core.chain.model import ChainTerms
 from lbacal_core.curves.covariance import compress_covariance
 from lbacal_core.curves.curves import CalibrationCurve, FitReport
 from lbacal_core.discovery.adopted import (
@@ -43,6 +42,7 @@ from lbacal_core.discovery.refit import power_ratio
 from lbacal_core.discovery.station import Station, model_modes
 from lbacal_core.drift.windows import leave_out_changed, set_apart
 from lbacal_core.grids import Floats
+from lbacal_core.instrument.chain import ChainTerms
 from lbacal_core.linear import root_of
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.spectra import Spectra

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from lbacal_core.causes.antenna import log_gain
-from lbacal_core.chain.model import ChainTerms
 from lbacal_core.discovery.hypothesis import Target
 from lbacal_core.discovery.noise import (
     GAINS_PRIOR,
@@ -30,6 +29,7 @@ from lbacal_core.discovery.noise import (
 from lbacal_core.discovery.station import SkyModes, Station
 from lbacal_core.discovery.view import Seen, View
 from lbacal_core.grids import Floats
+from lbacal_core.instrument.chain import ChainTerms
 from lbacal_core.linear import invert_symmetric, solve_symmetric
 from lbacal_core.skypower.differences import Waves
 

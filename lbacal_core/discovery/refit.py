@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from lbacal_core.causes.cause import Template, signature, spectral_signature
-from lbacal_core.chain.model import ChainTerms
 from lbacal_core.discovery.baseline import Baseline, fit_baseline
 from lbacal_core.discovery.hypothesis import Hypothesis
 from lbacal_core.discovery.noise import NoiseLevels, split_residuals
@@ -23,6 +22,7 @@ from lbacal_core.discovery.scan import group_templates
 from lbacal_core.discovery.station import SkyModes, Station
 from lbacal_core.discovery.view import SMALLEST_SHARE
 from lbacal_core.grids import Floats
+from lbacal_core.instrument.chain import ChainTerms
 from lbacal_core.linear import invert_symmetric, solve_symmetric
 
 MAX_ROUNDS = 8

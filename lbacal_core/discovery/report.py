@@ -13,7 +13,6 @@ from threadpoolctl import threadpool_limits
 from lbacal_core.calibration.chain_form import FORM_OF_CHAIN, compare_forms
 from lbacal_core.causes.axes import describe_term
 from lbacal_core.causes.cause import Description
-from lbacal_core.chain.model import BEHIND, PUBLISHED
 from lbacal_core.discovery.adopted import describe_size
 from lbacal_core.discovery.antennas import AntennaScore
 from lbacal_core.discovery.findings import Finding
@@ -24,6 +23,7 @@ from lbacal_core.discovery.scan import Score
 from lbacal_core.discovery.search import StationReport, search_station
 from lbacal_core.discovery.station import gather_stations, model_modes
 from lbacal_core.grids import Floats, require_same_grid
+from lbacal_core.instrument.chain import BEHIND, PUBLISHED
 from lbacal_core.provenance import Provenance
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.spectra import Spectra

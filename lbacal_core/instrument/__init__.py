@@ -1,1 +1,1 @@
-"""What stands in the field: read `instrument`, then `antennas` and `stages`."""
+"""What stands in the field: read `instrument`, then `antennas`, `stages` and `chain` (eq. full_chain)."""

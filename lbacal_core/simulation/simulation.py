@@ -3,7 +3,7 @@
     P = (P_sky + N) s + B,    s = G_ant / C^2 = G_ant A L_coax G_RCU S,
 
 with the noise N that enters in front of A(nu), N_LNA in the published chain, and B, what is recorded of the noise
-behind it, N_RCU S G_RCU + N_ADC there (`chain.model.Intercepts`).
+behind it, N_RCU S G_RCU + N_ADC there (`instrument.chain.Intercepts`).
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 
 from lbacal_core.causes.model import PLAIN, Model
-from lbacal_core.chain.model import FRONT_CONSTANTS, PUBLISHED, Intercepts, constants_of_form, noise_constants
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_same_grid
+from lbacal_core.instrument.chain import FRONT_CONSTANTS, PUBLISHED, Intercepts, constants_of_form, noise_constants
 from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.provenance import Remembered, hash_content
@@ -51,7 +51,7 @@ class Simulation:
     causes
         What the chain has besides, with sizes that are fitted together with C.
     form
-        The form of the chain, one of `chain.model.FORMS`, where the instrument does not list its stages.
+        The form of the chain, one of `instrument.chain.FORMS`, where the instrument does not list its stages.
     most_remembered
         How much of what was computed is kept.
     made

@@ -20,8 +20,8 @@ from scipy.special import sph_harm_y
 from lbacal_core.antenna.model import AntennaModel, directional_response
 from lbacal_core.antenna.varied import raise_arm
 from lbacal_core.grids import Floats
+from lbacal_core.instrument.power_unit import power_per_kelvin_sr
 from lbacal_core.sky.model import DATA_EPOCH, Complexes, SkyModel, precess_multipoles, wigner_d, with_negative_orders
-from lbacal_core.skypower.power import power_per_kelvin_sr
 
 ZENITH_NODES = 64
 AZIMUTHS = 32

@@ -23,6 +23,7 @@ from lbacal_core.data.prior import read_prior
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.instrument.power_unit import power_per_kelvin_sr
 from lbacal_core.linear import invert_symmetric, root_of
 from lbacal_core.sky.model import DATA_EPOCH, SkyModel, precess_multipoles
 from lbacal_core.sky.names import (
@@ -40,7 +41,6 @@ from lbacal_core.sky.names import (
 from lbacal_core.skypower.antenna_of import antenna_of
 from lbacal_core.skypower.model import compute_sky_power
 from lbacal_core.skypower.modes import beam_multipoles, beam_on_equator
-from lbacal_core.skypower.power import power_per_kelvin_sr
 from lbacal_core.skypower.table import SkyPower
 
 # How hot the sky was measured to be: experiments against a sky model, their mean, each predicted by the others.

@@ -24,9 +24,9 @@ from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, guess_widths
 from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.instrument.power_unit import RESISTANCE_OHM, power_per_kelvin_sr
 from lbacal_core.simulation.simulation import Simulation, noise_at_input, noise_of
 from lbacal_core.skypower.antenna_of import antenna_of
-from lbacal_core.skypower.power import RESISTANCE_OHM, power_per_kelvin_sr
 from lbacal_core.skypower.sources import point_source_power, response_towards
 from lbacal_core.skypower.table import read_at
 from lbacal_core.spectra.blocks import iterate_blocks

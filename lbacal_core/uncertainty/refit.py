@@ -24,13 +24,13 @@ from lbacal_core.calibration.lines import ChainForms, Lines, fit_lines
 from lbacal_core.calibration.paths import MIN_LST_BINS, Paths, paths_of_scope, require_one_cable_each
 from lbacal_core.calibration.separable import SeparableSolution
 from lbacal_core.calibration.singles import chain_forms
-from lbacal_core.chain.model import Intercepts
 from lbacal_core.curves.covariance import Budget, BudgetTerm
 from lbacal_core.curves.curves import OK, UNCERTAIN, CalibrationCurve, FitReport
 from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.data.prior import read_prior
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
+from lbacal_core.instrument.chain import Intercepts
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.simulation.prior import DEFAULT_SKY_BUDGET, PAPER_BUDGET, SkyPrior
 from lbacal_core.simulation.simulation import Simulation

@@ -14,10 +14,10 @@ from lbacal_core.calibration.chain_form import (
 )
 from lbacal_core.calibration.continued import continue_fit
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.chain.model import BEHIND, FORMS, PUBLISHED, SLOPED
 from lbacal_core.curves.curves import CONVERGED
 from lbacal_core.curves.kept_lines import read_lines, write_lines
 from lbacal_core.discovery.calibrate import fit_causes
+from lbacal_core.instrument.chain import BEHIND, FORMS, PUBLISHED, SLOPED
 from lbacal_core.instrument.stages import Stage
 from lbacal_core.pipeline import calibrate
 from lbacal_core.simulation.simulation import Simulation

@@ -6,7 +6,7 @@ from scipy.stats import kstest
 from lbacal_core.calibration.chain_test import FittedPaths, is_improbable
 from lbacal_core.calibration.lines import fit_lines
 from lbacal_core.calibration.separable import solve_separable
-from lbacal_core.chain.model import three_constants
+from lbacal_core.instrument.chain import three_constants
 from lbacal_core.simulation.prior import Mistake, SkyPrior
 
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.chain.model import calibration_factor
 from lbacal_core.curves.curves import parse_curve
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.antennas import AntennaRecord
+from lbacal_core.instrument.chain import calibration_factor
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.model import compute_sky_power

@@ -5,9 +5,9 @@ import pytest
 
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.calibration.spreads import SinglePaths, carry_to_path, fit_random_effect, measure_spreads
-from lbacal_core.chain.model import calibration_factor
 from lbacal_core.curves.reference_chain import CableTable, ReferenceChain
 from lbacal_core.instrument.antennas import AntennaRecord
+from lbacal_core.instrument.chain import calibration_factor
 from lbacal_core.simulation.simulation import Simulation, noise_at_input
 
 AT = 1_400_000_000.0

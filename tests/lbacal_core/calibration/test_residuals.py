@@ -5,9 +5,9 @@ from lbacal_core.calibration.antenna_noise import draw_noise
 from lbacal_core.curves.curves import CONVERGED, CalibrationCurve, Parameter
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.instrument.power_unit import RESISTANCE_OHM
 from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.simulation.simulation import Simulation, noise_at_input
-from lbacal_core.skypower.power import RESISTANCE_OHM
 from lbacal_core.skypower.table import SkyPower
 from lbacal_core.spectra.blocks import split_into_blocks
 from lbacal_twin.campaign import Campaign, simulate_campaign

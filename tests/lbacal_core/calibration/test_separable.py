@@ -4,7 +4,7 @@ from scipy.optimize import least_squares
 
 from lbacal_core.calibration.channels import describe_merged, flag_channels, solve_without_interference
 from lbacal_core.calibration.separable import solve_separable
-from lbacal_core.chain.model import Intercepts, three_constants
+from lbacal_core.instrument.chain import Intercepts, three_constants
 
 
 def problem(rng, size=12):

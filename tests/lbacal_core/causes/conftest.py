@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.causes.cause import Conditions
-from lbacal_core.chain.model import ChainTerms
+from lbacal_core.instrument.chain import ChainTerms
 
 
 @pytest.fixture(scope="module")

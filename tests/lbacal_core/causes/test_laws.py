@@ -12,7 +12,7 @@ from lbacal_core.causes.antenna import fitted_log_gain
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import Conditions, Template
 from lbacal_core.causes.sky import sky_ratios
-from lbacal_core.chain.model import ChainTerms
+from lbacal_core.instrument.chain import ChainTerms
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.skypower.model import vary_sky_power
 

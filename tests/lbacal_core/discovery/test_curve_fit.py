@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from lbacal_core.causes.catalogue import DESCRIPTIONS
-from lbacal_core.chain.model import three_constants
 from lbacal_core.discovery.curve_fit import (
     GRID_HOURS,
     CurveFitter,
@@ -13,6 +12,7 @@ from lbacal_core.discovery.curve_fit import (
     list_choices,
     why_not,
 )
+from lbacal_core.instrument.chain import three_constants
 from lbacal_core.lstcurve.curve import AS_RECORDED, LstCurve, band_weights, estimate_noise, noise_prior
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.skypower.differences import model_difference_modes

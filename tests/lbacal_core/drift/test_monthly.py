@@ -3,7 +3,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.chain.model import calibration_factor
 from lbacal_core.curves.curves import CalibrationCurve, Parameter
 from lbacal_core.drift.events import (
     EventModes,
@@ -13,6 +12,7 @@ from lbacal_core.drift.events import (
     measure_event_modes,
 )
 from lbacal_core.instrument.antennas import AntennaRecord
+from lbacal_core.instrument.chain import calibration_factor
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.simulation.simulation import Simulation

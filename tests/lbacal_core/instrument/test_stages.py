@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.chain.model import three_constants
 from lbacal_core.errors import BadInputError, UnreadableFileError
+from lbacal_core.instrument.chain import three_constants
 from lbacal_core.instrument.instrument import load_instrument, parse_instrument
 from lbacal_core.instrument.stages import Stage, fill_fields, gain_behind, parse_stages, require_chain, split_stages
 

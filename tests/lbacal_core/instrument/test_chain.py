@@ -5,9 +5,9 @@ import pytest
 from scipy.constants import Boltzmann
 
 from lbacal_core.antenna.ideal import IsotropicAntenna
-from lbacal_core.chain.model import ChainTerms, calibration_factor, noise_constants, three_constants
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.antennas import GainProvenance
+from lbacal_core.instrument.chain import ChainTerms, calibration_factor, noise_constants, three_constants
 from lbacal_core.instrument.stages import Stage
 from lbacal_core.skypower.model import compute_sky_power
 from tests.oracles import chain_power

@@ -18,8 +18,8 @@ from scipy.constants import Boltzmann
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.instrument.power_unit import power_per_kelvin_sr
 from lbacal_core.instrument.stages import FREE, SEEN, Stage, multiply_gains, split_stages
-from lbacal_core.skypower.power import power_per_kelvin_sr
 
 
 def calibration_factor(slope: Floats, antenna_gain: Floats) -> Floats:

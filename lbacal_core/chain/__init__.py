@@ -1,1 +1,0 @@
-"""The signal chain of eq. full_chain: read `model`."""
