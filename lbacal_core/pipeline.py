@@ -1,6 +1,6 @@
 """The main path on one page: spectra and a simulation go in; calibration curves with their errors come out.
 
-P_sky(LST, nu)      lbacal_core.skypower                the Galaxy, seen by the antenna
+P_sky(LST, nu)      lbacal_core.sky                     the Galaxy, seen by the antenna
 P = s P_sky + b     lbacal_core.calibration.lines       a straight line per channel and path
 N_LNA, N / G_ant    lbacal_core.calibration.chain_form  where noise enters, by the odds that the data give
 b = N_LNA s + ...   lbacal_core.calibration.separable   the chain ties the intercepts together

@@ -19,11 +19,11 @@ from lbacal_core.data.prior import read_prior
 from lbacal_core.grids import Floats
 from lbacal_core.simulation.prior import PAPER_BUDGET, PATTERN
 from lbacal_core.simulation.simulation import Simulation
+from lbacal_core.sky.differences import ZENITH_GAIN
 from lbacal_core.sky.names import DEFAULT_SKY, MEASURED_SKY, list_skies, load_sky
-from lbacal_core.skypower.differences import ZENITH_GAIN
-from lbacal_core.skypower.model import compute_sky_power, vary_sky_power
-from lbacal_core.skypower.sky_terms import PAPER
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.sky.power import compute_sky_power, vary_sky_power
+from lbacal_core.sky.sky_terms import PAPER
+from lbacal_core.sky.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_core.uncertainty import refit as uncertainty
 from lbacal_paper.study import SEED, STATION, Study

@@ -20,11 +20,11 @@ from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.lstcurve import curve as lst_curve
 from lbacal_core.simulation.simulation import Simulation, noise_at_input
+from lbacal_core.sky.differences import FULL_MAPS, ZENITH_GAIN, model_difference_modes
 from lbacal_core.sky.model import SkyModel
 from lbacal_core.sky.names import DEFAULT_SKY, list_skies, load_sky
-from lbacal_core.skypower.differences import FULL_MAPS, ZENITH_GAIN, model_difference_modes
-from lbacal_core.skypower.model import compute_sky_power, vary_sky_power
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.sky.power import compute_sky_power, vary_sky_power
+from lbacal_core.sky.table import SkyPower
 from lbacal_core.spectra.blocks import split_into_blocks
 from lbacal_core.traces.trace import BLOCK_SAMPLES
 from lbacal_paper.budget import EDGE_MHZ, TIED, Budget, has_every_channel, spread_with_cables

@@ -21,8 +21,8 @@ from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.lstcurve.curve import Comparison, LstCurve, compare_lst_curve, measured_curve, read_lst_curve
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.sky.power import compute_sky_power
+from lbacal_core.sky.table import SkyPower
 from lbacal_twin.campaign import Campaign, simulate_campaign
 from lbacal_twin.settings import TwinSettings
 

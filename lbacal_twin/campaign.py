@@ -12,7 +12,7 @@ from lbacal_core.errors import UnknownNameError
 from lbacal_core.grids import Floats, require_same_grid
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.instrument.sidereal import local_sidereal_time
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.sky.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.faults.fault import Fault
 from lbacal_twin.gains import BEHIND_EVERYTHING, EventGains, draw_scatter

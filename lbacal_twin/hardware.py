@@ -12,7 +12,7 @@ from lbacal_core.data.tables import read_table
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.instrument.stages import SEEN, Stage, split_stages
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.sky.table import SkyPower
 from lbacal_twin.settings import StationTruth, TwinSettings
 from lbacal_twin.view import View
 from lbacal_twin.weather import Weather

@@ -17,8 +17,8 @@ from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.sky.model import SkyModel
 from lbacal_core.sky.names import load_sky
-from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.sky.power import compute_sky_power
+from lbacal_core.sky.table import SkyPower
 from lbacal_twin.gains import NOISES, EventGains
 from lbacal_twin.view import View
 

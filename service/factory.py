@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from lbacal_core.curves.validity import Instant
 from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.provenance import Remembered
-from lbacal_core.skypower.table import read_sky_power
+from lbacal_core.sky.table import read_sky_power
 from service.config import Settings
 from service.storage.database import Database
 from service.usecases.alarms import Alarms

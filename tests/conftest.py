@@ -15,7 +15,7 @@ from lbacal_core.curves.covariance import Budget, BudgetTerm, CurveCovariance
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.sky.table import SkyPower
 from validation.running.postgres import find_binaries
 
 FREQUENCY = np.arange(30.0, 81.0)

@@ -22,7 +22,7 @@ from lbacal_core.discovery import report as report_of_spectra
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.lstcurve import curve as lst_curve
 from lbacal_core.provenance import Provenance
-from lbacal_core.skypower.table import read_sky_power
+from lbacal_core.sky.table import read_sky_power
 from lbacal_core.spectra import spectra
 from lbacal_core.traces.assembly import COVARIATES, read_event_facts
 from service.cli.reference import describe_causes, describe_commands, describe_settings

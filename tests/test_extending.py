@@ -17,7 +17,7 @@ from dataclasses import replace
 from lbacal_core.discovery.report import investigate
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.sky.power import compute_sky_power
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.hardware import GainTemperature
 from lbacal_twin.settings import TwinSettings

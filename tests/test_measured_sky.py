@@ -11,7 +11,7 @@ from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.names import read_sky_level
-from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.sky.power import compute_sky_power
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
 from validation.scripts.draw_measured_sky import PAGE, tabulate_budgets, tabulate_edges, tabulate_families

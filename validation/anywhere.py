@@ -35,7 +35,7 @@ from lbacal_core.instrument.antennas import AntennaRecord, GainProvenance
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.instrument.stages import Stage, gain_behind
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.sky.power import compute_sky_power
 from lbacal_twin.campaign import DrawnStation, draw_stations, expected_power, simulate_campaign
 from lbacal_twin.faults.fault import Fault, Where
 from lbacal_twin.faults.hardware import GainStep

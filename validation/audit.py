@@ -18,7 +18,7 @@ import numpy as np
 from lbacal_core.audit.audit import audit
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import Instrument, load_instrument
-from lbacal_core.skypower.differences import DifferenceModels
+from lbacal_core.sky.differences import DifferenceModels
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.nuisances import Nuisances

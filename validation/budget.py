@@ -23,8 +23,8 @@ from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.simulation.prior import OtherAntenna, SkyPrior, sky_prior
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.sky_terms import SkyTerm
-from lbacal_core.skypower.table import read_at
+from lbacal_core.sky.sky_terms import SkyTerm
+from lbacal_core.sky.table import read_at
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_core.uncertainty.refit import add_budget, compute_budget
 from lbacal_twin.campaign import Campaign, simulate_campaign

@@ -21,7 +21,7 @@ from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.table import SkyPower, read_sky_power
+from lbacal_core.sky.table import SkyPower, read_sky_power
 from lbacal_core.spectra.spectra import Spectra, read_spectra
 from validation.machinery.claims import Found, mean_of, rate_of, spread_interval, spread_of, worst_of
 from validation.machinery.parts import SHARED, Part, Row

@@ -37,7 +37,7 @@ from lbacal.instants import parse_at, parse_instant
 from lbacal_core.errors import LbacalError
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.lstcurve.curve import read_lst_curve
-from lbacal_core.skypower.table import read_sky_power
+from lbacal_core.sky.table import read_sky_power
 from lbacal_core.spectra.spectra import Spectra, write_spectra
 from service.wire.answers import choose_format
 from service.wire.bodies import FlagBody, PromotionBody, RefitBody, SpectraBody, parse_body

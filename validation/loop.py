@@ -24,8 +24,8 @@ from lbacal.instants import format_instant
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.curves.validity import Instant, Scope
-from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.skypower.table import write_sky_power
+from lbacal_core.sky.power import compute_sky_power
+from lbacal_core.sky.table import write_sky_power
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import Campaign, simulate_campaign
 from lbacal_twin.faults.fault import Fault

@@ -23,8 +23,8 @@ from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.lstcurve import curve as lst_curve
 from lbacal_core.provenance import Provenance
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.sky.power import compute_sky_power
+from lbacal_core.sky.table import SkyPower
 from validation.machinery.claims import Found, exactly, measured
 from validation.machinery.parts import Part, Row
 from validation.machinery.tables import by

@@ -24,8 +24,8 @@ from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.simulation.prior import list_changes
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.differences import DifferenceModels
-from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.sky.differences import DifferenceModels
+from lbacal_core.sky.power import compute_sky_power
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_core.uncertainty.refit import add_budget, compute_budget
 from lbacal_twin.campaign import Campaign, simulate_campaign

@@ -23,11 +23,11 @@ from lbacal_core.lstcurve.curve import (
     measured_curve,
     read_lst_curve,
 )
+from lbacal_core.sky.direct import sum_over_pixels
+from lbacal_core.sky.modes import sky_power_at, sky_power_modes
 from lbacal_core.sky.names import load_sky
-from lbacal_core.skypower.direct import sum_over_pixels
-from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.skypower.modes import sky_power_at, sky_power_modes
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.sky.power import compute_sky_power
+from lbacal_core.sky.table import SkyPower
 from validation.machinery.claims import Found, exactly, worst_of
 from validation.machinery.parts import SHARED, Part, Row
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from functools import cache
 
 from lbacal_core.instrument.instrument import Instrument, load_instrument
-from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.sky.power import compute_sky_power
+from lbacal_core.sky.table import SkyPower
 
 
 @cache

@@ -21,7 +21,7 @@ from lbacal_core.calibration.chain_form import compare_forms
 from lbacal_core.curves.covariance import Budget, BudgetTerm
 from lbacal_core.grids import Floats
 from lbacal_core.simulation.prior import DEFAULT_SKY_BUDGET
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.sky.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_core.uncertainty.refit import compute_budget, measure_electronics
 

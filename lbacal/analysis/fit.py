@@ -29,7 +29,7 @@ from lbacal_core.errors import BadInputError, UnknownNameError
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.pipeline import calibrate
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.sky.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_core.uncertainty.left_open import widen_by_open_terms
 from lbacal_core.uncertainty.one_event import ErrorOfC, measure_error

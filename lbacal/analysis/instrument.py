@@ -20,7 +20,7 @@ from lbacal_core.instrument.stages import IN_LINE
 
 if TYPE_CHECKING:
     from lbacal_core.simulation.simulation import Simulation
-    from lbacal_core.skypower.table import SkyPower
+    from lbacal_core.sky.table import SkyPower
 
 STATION, CABLE = "S1", "all"
 
@@ -134,7 +134,7 @@ class Instrument:
 
     def sky_power(self) -> SkyPower:
         """P_sky(LST, nu) of each dipole from the sky and antenna models that the instrument names."""
-        from lbacal_core.skypower.model import compute_sky_power
+        from lbacal_core.sky.power import compute_sky_power
 
         return compute_sky_power(self.core)
 
@@ -163,7 +163,7 @@ def core_of(instrument: Any) -> CoreInstrument:
 def simulation_of(instrument: Any, sky_power: SkyPower | str | Path | None = None) -> Simulation:
     """The instrument under its own sky, or under a P_sky that is given or read."""
     from lbacal_core.simulation.simulation import Simulation
-    from lbacal_core.skypower.table import read_sky_power
+    from lbacal_core.sky.table import read_sky_power
 
     if isinstance(instrument, Simulation):
         return instrument

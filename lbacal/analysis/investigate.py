@@ -29,7 +29,7 @@ from lbacal_core.errors import BadInputError, write_chance
 from lbacal_core.lstcurve.curve import BAND_MHZ, LstCurve, read_lst_curve
 from lbacal_core.provenance import Provenance
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.sky.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra
 
 COLUMNS = ("cause", "station", "size", "sigma", "what is wrong")

@@ -16,7 +16,7 @@ from lbacal.chain import convert_number
 from lbacal.pages.report import draw_lst_comparison, draw_lst_panel
 from lbacal_core.data.lofar import DIPOLES, SUPERTERP
 from lbacal_core.lstcurve.curve import BAND_MHZ, Comparison, LstCurve, compare_lst_curve, read_lst_curve
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.sky.table import SkyPower
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)

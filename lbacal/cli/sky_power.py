@@ -33,12 +33,12 @@ def sky_power(
     Example: lbacal sky-power --instrument lofar-superterp --output P.json
     """
     from lbacal_core.instrument.instrument import load_instrument
+    from lbacal_core.sky.antenna_of import antenna_of
     from lbacal_core.sky.model import find_sources
     from lbacal_core.sky.names import default_sky, load_sky
-    from lbacal_core.skypower.antenna_of import antenna_of
-    from lbacal_core.skypower.model import compute_sky_power
-    from lbacal_core.skypower.sources import add_sources
-    from lbacal_core.skypower.table import write_sky_power
+    from lbacal_core.sky.power import compute_sky_power
+    from lbacal_core.sky.sources import add_sources
+    from lbacal_core.sky.table import write_sky_power
 
     require_outputs({"--output": output}, {"--instrument": instrument, "--sky": sky, "--antenna": antenna})
     chain = load_instrument(instrument)

@@ -12,7 +12,7 @@ from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.discovery.curve_fit import CurveFit
 from lbacal_core.discovery.curve_search import CurveInvestigation
 from lbacal_core.grids import Floats
-from lbacal_core.skypower.table import read_at
+from lbacal_core.sky.table import read_at
 
 # The figures of an LST curve: what was measured, the simulation before and after, and what each hypothesis does.
 

@@ -31,7 +31,7 @@ from lbacal_core.calibration.chain_test import LIKELY_MISTAKE
 from lbacal_core.curves.curves import FitReport
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.skypower.differences import DifferenceModels
+from lbacal_core.sky.differences import DifferenceModels
 from lbacal_core.spectra.spectra import Spectra
 
 

@@ -17,11 +17,11 @@ from lbacal_core.audit.station import SHARE, SHARE_SPREAD, SKY_HOURS, AnyReceive
 from lbacal_core.audit.verdict import LEAST_GAIN, UNDECIDED, Line, Possibility, conclude
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.sky.antenna_of import antenna_of
+from lbacal_core.sky.differences import WIDE_MODELS, DifferenceModels, list_patterns
 from lbacal_core.sky.model import DATA_EPOCH, Complexes, precess_multipoles
+from lbacal_core.sky.modes import combine, sky_power_at
 from lbacal_core.sky.names import DEFAULT_TO_MHZ, default_sky, load_sky
-from lbacal_core.skypower.antenna_of import antenna_of
-from lbacal_core.skypower.differences import WIDE_MODELS, DifferenceModels, list_patterns
-from lbacal_core.skypower.modes import combine, sky_power_at
 
 # What a station should see of the sky at any place, with any arms and clock; and how other models would differ.
 #

@@ -19,7 +19,7 @@ from scipy.interpolate import CubicSpline
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.chain import ChainTerms, Intercepts, three_constants
 from lbacal_core.linear import fit_least_squares
-from lbacal_core.skypower.table import read_at
+from lbacal_core.sky.table import read_at
 
 # What is known of the events, the classes of paths and the instrument, for causes to act with.
 

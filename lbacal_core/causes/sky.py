@@ -15,9 +15,9 @@ from lbacal_core.instrument.chain import ChainTerms
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.linear import pseudo_invert
 from lbacal_core.sky.model import SOURCES
-from lbacal_core.skypower.model import vary_sky_power
-from lbacal_core.skypower.sources import source_sky_power
-from lbacal_core.skypower.table import SkyPower, read_at
+from lbacal_core.sky.power import vary_sky_power
+from lbacal_core.sky.sources import source_sky_power
+from lbacal_core.sky.table import SkyPower, read_at
 
 # Changes of P_sky that need directions: own(with)/own(without), from the package's own sky and antenna.
 #

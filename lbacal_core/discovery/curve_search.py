@@ -40,7 +40,7 @@ from lbacal_core.lstcurve.curve import (
 )
 from lbacal_core.provenance import Provenance
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.differences import FULL_MAPS, model_difference_modes
+from lbacal_core.sky.differences import FULL_MAPS, model_difference_modes
 
 
 @dataclass(frozen=True)

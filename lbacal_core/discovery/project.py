@@ -31,7 +31,7 @@ from lbacal_core.discovery.view import Seen, View
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.chain import ChainTerms
 from lbacal_core.linear import invert_symmetric, solve_symmetric
-from lbacal_core.skypower.differences import Waves
+from lbacal_core.sky.differences import Waves
 
 # Gains of single events: how they show along frequency, and what they do to the mean path beyond first order.
 #

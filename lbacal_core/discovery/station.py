@@ -16,9 +16,9 @@ from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.sidereal import local_sidereal_time, sun_position
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.differences import ModelDifferences, Waves, waves_at
-from lbacal_core.skypower.sources import response_towards
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.sky.differences import ModelDifferences, Waves, waves_at
+from lbacal_core.sky.sources import response_towards
+from lbacal_core.sky.table import SkyPower
 from lbacal_core.spectra.blocks import SpectraBlock, split_into_blocks
 from lbacal_core.spectra.spectra import Spectra
 

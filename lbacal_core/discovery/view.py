@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from lbacal_core.grids import Floats
 from lbacal_core.linear import root_of_inverse
-from lbacal_core.skypower.differences import Waves
+from lbacal_core.sky.differences import Waves
 
 # The vectors N that a fit leaves free and the inverse covariance W of the noise, event by event.
 #

@@ -19,8 +19,8 @@ from lbacal_core.grids import Floats, require_same_grid
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.linear import fit_least_squares
 from lbacal_core.provenance import Provenance, hash_arrays
-from lbacal_core.skypower.model import vary_sky_power
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.sky.power import vary_sky_power
+from lbacal_core.sky.table import SkyPower
 
 COLUMNS = ("lst_h", "x_db", "y_db", "error_db")
 CENTRE_LINE = "# lst: centre"

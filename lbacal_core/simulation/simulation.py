@@ -26,10 +26,10 @@ from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.provenance import Remembered, hash_content
 from lbacal_core.simulation.prior import DEFAULT_SKY_BUDGET, SkyPrior, list_changes, sky_prior
-from lbacal_core.skypower.differences import DifferenceModels, ModelDifferences, compute_model_differences
-from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.skypower.sky_terms import SkyTerm
-from lbacal_core.skypower.table import SkyPower, read_sky_power
+from lbacal_core.sky.differences import DifferenceModels, ModelDifferences, compute_model_differences
+from lbacal_core.sky.power import compute_sky_power
+from lbacal_core.sky.sky_terms import SkyTerm
+from lbacal_core.sky.table import SkyPower, read_sky_power
 
 MOST_REMEMBERED = 64
 """Fits of single paths of a station's year and polarisation take 9 MB."""

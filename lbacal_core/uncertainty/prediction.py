@@ -26,9 +26,9 @@ from lbacal_core.grids import Floats, guess_widths
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.instrument.power_unit import RESISTANCE_OHM, power_per_kelvin_sr
 from lbacal_core.simulation.simulation import Simulation, noise_at_input, noise_of
-from lbacal_core.skypower.antenna_of import antenna_of
-from lbacal_core.skypower.sources import point_source_power, response_towards
-from lbacal_core.skypower.table import read_at
+from lbacal_core.sky.antenna_of import antenna_of
+from lbacal_core.sky.sources import point_source_power, response_towards
+from lbacal_core.sky.table import read_at
 from lbacal_core.spectra.blocks import iterate_blocks
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_core.traces.voltage import statistical_errors, systematic_errors

@@ -34,8 +34,8 @@ from lbacal_core.instrument.chain import Intercepts
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.simulation.prior import DEFAULT_SKY_BUDGET, PAPER_BUDGET, SkyPrior
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.sky_terms import SkyTerm
-from lbacal_core.skypower.table import read_at
+from lbacal_core.sky.sky_terms import SkyTerm
+from lbacal_core.sky.table import read_at
 from lbacal_core.spectra.spectra import Spectra
 
 EXCLUDED = 2.0

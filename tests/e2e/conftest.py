@@ -15,7 +15,7 @@ import pytest
 from playwright.sync_api import Browser, expect, sync_playwright
 
 from lbacal_core.instrument.instrument import load_instrument
-from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.sky.power import compute_sky_power
 from lbacal_core.spectra.spectra import write_spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.fault import Fault

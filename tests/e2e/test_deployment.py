@@ -20,7 +20,7 @@ import yaml
 
 from lbacal.client import Client
 from lbacal_core.instrument.instrument import load_instrument
-from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.sky.power import compute_sky_power
 from lbacal_core.spectra.spectra import read_spectra, write_spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings

@@ -11,7 +11,7 @@ from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves.curves import CONVERGED
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.sky.table import SkyPower
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
 

@@ -13,8 +13,8 @@ from lbacal.with_model import read_model, read_open_terms
 from lbacal_core.causes.model import PLAIN, AdoptedCause, Model
 from lbacal_core.errors import BadInputError, UnreadableFileError
 from lbacal_core.instrument.instrument import load_instrument
-from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.skypower.table import write_sky_power
+from lbacal_core.sky.power import compute_sky_power
+from lbacal_core.sky.table import write_sky_power
 from lbacal_core.spectra.spectra import write_spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.sky import LstOffset

@@ -3,8 +3,8 @@ import pytest
 
 from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.sky.power import compute_sky_power
+from lbacal_core.sky.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.settings import TwinSettings
 from lbacal_twin.view import View

@@ -20,8 +20,8 @@ from lbacal_core.instrument.instrument import Instrument, load_instrument, parse
 from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.pipeline import calibrate
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.skypower.table import SkyPower, read_sky_power, write_sky_power
+from lbacal_core.sky.power import compute_sky_power
+from lbacal_core.sky.table import SkyPower, read_sky_power, write_sky_power
 from lbacal_core.spectra.blocks import split_into_blocks
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import Campaign, simulate_campaign

@@ -14,8 +14,8 @@ from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.instrument.instrument import Instrument, parse_instrument
 from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.sky.power import compute_sky_power
+from lbacal_core.sky.table import SkyPower
 from lbacal_core.spectra.blocks import split_into_blocks
 from lbacal_twin.campaign import Campaign, simulate_campaign
 from lbacal_twin.gains import BEHIND, FRONT, NOISES, EventGains, shift_resonance

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.sky.table import SkyPower
 from lbacal_core.traces.background import CleaningSettings, measure_traces
 from lbacal_core.traces.density import bin_weights, effective_channels
 from lbacal_core.traces.trace import BLOCK_SAMPLES, Trace, TraceReference

@@ -11,7 +11,7 @@ from lbacal_core.errors import UnknownNameError
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.sky.names import load_sky
-from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.sky.power import compute_sky_power
 from lbacal_twin.bodies import horizontal, jupiter_position, on_the_equator_of, sun_position
 from lbacal_twin.gains import NOISES
 from lbacal_twin.view import View

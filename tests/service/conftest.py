@@ -22,8 +22,8 @@ from fastapi.testclient import TestClient
 from lbacal_core.curves.curves import CONVERGED, CalibrationCurve
 from lbacal_core.curves.validity import Scope
 from lbacal_core.instrument.instrument import Instrument, load_instrument
-from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.skypower.table import read_sky_power, write_sky_power
+from lbacal_core.sky.power import compute_sky_power
+from lbacal_core.sky.table import read_sky_power, write_sky_power
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import Campaign, simulate_campaign
 from lbacal_twin.faults.fault import Where

@@ -16,7 +16,7 @@ import pytest
 from lbacal.instants import parse_instant
 from lbacal_core.curves.validity import Scope
 from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.skypower.table import read_sky_power
+from lbacal_core.sky.table import read_sky_power
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.instrument.antennas import AntennaRecord
-from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.sky.power import compute_sky_power
 from lbacal_twin.campaign import DrawnStation, draw_stations, expected_power
 from lbacal_twin.faults.fault import Where
 from lbacal_twin.faults.hardware import GainStep

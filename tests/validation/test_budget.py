@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.calibration.chain_form import FORM_OF_CHAIN
-from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.sky.power import compute_sky_power
 from lbacal_core.uncertainty.refit import OTHER_ANTENNA, compute_budget
 from validation.budget import SETTINGS, believe, draw_antenna, draw_campaign, tell_campaign
 from validation.machinery.parts import Row

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.sky.table import SkyPower
 from validation.fit import (
     Scene,
     draw,

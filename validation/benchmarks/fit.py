@@ -23,7 +23,7 @@ from lbacal_core.grids import Floats
 from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.sky.power import compute_sky_power
 from lbacal_core.spectra.blocks import split_into_blocks
 from lbacal_core.spectra.spectra import Spectra
 from validation.benchmarks.timing import Result, time_once

@@ -25,7 +25,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.skypower.table import write_sky_power
+from lbacal_core.sky.table import write_sky_power
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings

@@ -11,7 +11,7 @@ import numpy as np
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument, load_instrument
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.sky.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import draw_stations, simulate_campaign
 from lbacal_twin.faults.catalogue import catalogue_faults, draw_fault

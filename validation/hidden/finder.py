@@ -18,8 +18,8 @@ from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.lstcurve.curve import LstCurve
 from lbacal_core.provenance import Provenance
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.differences import DifferenceModels
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.sky.differences import DifferenceModels
+from lbacal_core.sky.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra
 
 

@@ -11,11 +11,11 @@ import numpy as np
 from lbacal_core.antenna.names import DEFAULT_ANTENNA
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.grids import Floats
+from lbacal_core.sky.differences import SIMULATED_LBA as SIMULATED_NAME
+from lbacal_core.sky.differences import DifferenceModels, waves_at
 from lbacal_core.sky.names import DEFAULT_SKY, load_sky
-from lbacal_core.skypower.differences import SIMULATED_LBA as SIMULATED_NAME
-from lbacal_core.skypower.differences import DifferenceModels, waves_at
-from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.sky.power import compute_sky_power
+from lbacal_core.sky.table import SkyPower
 from lbacal_twin.nuisances import REALISTIC
 from lbacal_twin.view import View
 from lbacal_twin.world import ANTENNAS, MADE_OF, SKIES, World, draw_world

@@ -17,8 +17,8 @@ import httpx2
 import numpy as np
 
 from lbacal_core.instrument.instrument import load_instrument
-from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.skypower.table import SkyPower, write_sky_power
+from lbacal_core.sky.power import compute_sky_power
+from lbacal_core.sky.table import SkyPower, write_sky_power
 
 PATIENCE_S = 120.0
 

@@ -20,8 +20,8 @@ from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.names import load_sky, read_sky_level
-from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.skypower.sky_terms import (
+from lbacal_core.sky.power import compute_sky_power
+from lbacal_core.sky.sky_terms import (
     EDGES_DEG,
     EDGES_HEIGHT_M,
     SKY_BUDGETS,

@@ -25,7 +25,7 @@ from lbacal_core.instrument.instrument import AntennaRecord, Instrument
 from lbacal_core.readers.open import choose_channels, open_source
 from lbacal_core.readers.source import average
 from lbacal_core.sky.names import load_sky
-from lbacal_core.skypower.sky_terms import dipole_temperature
+from lbacal_core.sky.sky_terms import dipole_temperature
 from lbacal_core.spectra.spectra import Spectra
 from validation.machinery.tables import replace_tables, write_table
 

@@ -17,9 +17,9 @@ from lbacal.pages.report import COLOURS
 from lbacal_core.antenna.model import directional_response
 from lbacal_core.antenna.names import load_antenna
 from lbacal_core.instrument.instrument import load_instrument
+from lbacal_core.sky.differences import model_difference_modes
 from lbacal_core.sky.names import load_sky
-from lbacal_core.skypower.differences import model_difference_modes
-from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.sky.power import compute_sky_power
 
 TARGET = Path(__file__).parents[2] / "docs" / "images"
 INSTRUMENT = load_instrument("lofar-superterp")

@@ -9,7 +9,7 @@ import numpy as np
 
 from lbacal_core.linear import invert_symmetric
 from lbacal_core.sky.model import SkyModel
-from lbacal_core.skypower.sky_terms import Anchor, combine_anchors, stack_anchors
+from lbacal_core.sky.sky_terms import Anchor, combine_anchors, stack_anchors
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from lbacal_core.antenna.names import DEFAULT_ANTENNA, load_antenna
-from lbacal_core.skypower.modes import beam_multipoles
+from lbacal_core.sky.modes import beam_multipoles
 
 TARGET = Path(__file__).parents[2] / "lbacal_core" / "data" / "antenna_difference.json"
 LMAX = 16

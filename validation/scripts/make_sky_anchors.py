@@ -4,7 +4,7 @@
 
 The table of EDGES goes into lbacal_core/data/sky_anchors.json as its means over the sidereal day at five frequencies;
 the other numbers there are those of the abstracts of the papers that it cites. The level and slope by which the sky
-`gsm` is multiplied, and their covariance, follow from `lbacal_core.skypower.sky_terms`.
+`gsm` is multiplied, and their covariance, follow from `lbacal_core.sky.sky_terms`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 
 from lbacal_core.data.tables import read_columns
 from lbacal_core.sky.names import BASE_SKY, load_sky
-from lbacal_core.skypower.sky_terms import combine_anchors, read_anchors
+from lbacal_core.sky.sky_terms import combine_anchors, read_anchors
 from validation.scripts.left_out_anchors import predict_left_out
 
 DATA = Path(__file__).parents[2] / "lbacal_core" / "data"

@@ -37,8 +37,8 @@ from astropy.coordinates import EarthLocation
 from lbacal_core.antenna.names import load_antenna
 from lbacal_core.data.tables import read_columns
 from lbacal_core.instrument.sidereal import local_sidereal_time
+from lbacal_core.sky.modes import sky_power_at, sky_power_modes
 from lbacal_core.sky.names import load_sky
-from lbacal_core.skypower.modes import sky_power_at, sky_power_modes
 
 TARGET = Path(__file__).parents[2] / "lbacal_core" / "data" / "instruments" / "lofar-superterp.json"
 STATIONS = [f"CS00{number}" for number in range(2, 8)]

@@ -14,8 +14,8 @@ import lbacal
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.lstcurve.curve import measured_curve
-from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.sky.power import compute_sky_power
+from lbacal_core.sky.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.sky import LstOffset

@@ -13,7 +13,7 @@ import pytest
 from lbacal.cli.main import main
 from lbacal_core.instrument.instrument import Instrument, parse_instrument
 from lbacal_core.instrument.sidereal import local_sidereal_time
-from lbacal_core.skypower.table import SkyPower, write_sky_power
+from lbacal_core.sky.table import SkyPower, write_sky_power
 from lbacal_core.spectra.spectra import Spectra, write_spectra
 
 FREQUENCY = np.arange(30.0, 81.0)

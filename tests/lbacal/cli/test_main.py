@@ -15,8 +15,8 @@ from lbacal.cli import main as command
 from lbacal.cli.main import app
 from lbacal_core.errors import BadInputError, LbacalError, UnknownNameError, UnreadableFileError
 from lbacal_core.instrument.instrument import load_instrument
-from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.skypower.table import read_sky_power
+from lbacal_core.sky.power import compute_sky_power
+from lbacal_core.sky.table import read_sky_power
 from lbacal_core.spectra.spectra import write_spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings

@@ -27,8 +27,8 @@ from lbacal_core.lstcurve.curve import measured_curve
 from lbacal_core.pipeline import calibrate
 from lbacal_core.provenance import Provenance
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.sky.power import compute_sky_power
+from lbacal_core.sky.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra, write_spectra
 from lbacal_core.uncertainty.one_event import ErrorOfC
 from lbacal_twin.campaign import simulate_campaign

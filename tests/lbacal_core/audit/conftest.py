@@ -4,7 +4,7 @@ import pytest
 from lbacal_core.audit.station import AuditedStation, split_stations
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.instrument.sidereal import local_sidereal_time
-from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.sky.power import compute_sky_power
 from lbacal_core.spectra.spectra import Spectra
 
 HOURS = 24

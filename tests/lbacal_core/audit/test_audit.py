@@ -14,7 +14,7 @@ from lbacal_core.provenance import Provenance
 from lbacal_core.readers.open import choose_channels, open_source
 from lbacal_core.readers.source import average
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.sky.power import compute_sky_power
 from lbacal_core.spectra.spectra import Spectra, join_spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings

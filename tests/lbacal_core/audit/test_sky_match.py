@@ -20,8 +20,8 @@ from lbacal_core.audit.station import (
 from lbacal_core.audit.verdict import Possibility, conclude
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.skypower.differences import DifferenceModels
-from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.sky.differences import DifferenceModels
+from lbacal_core.sky.power import compute_sky_power
 
 ALL = np.arange(6)
 

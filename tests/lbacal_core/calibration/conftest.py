@@ -11,7 +11,7 @@ from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.sky.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra
 
 RADIOMETER, PATH_GAIN, COMMON_GAIN = 0.045, 0.03, 0.02

@@ -21,7 +21,7 @@ from lbacal_core.instrument.chain import BEHIND, FORMS, PUBLISHED, SLOPED
 from lbacal_core.instrument.stages import Stage
 from lbacal_core.pipeline import calibrate
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.sky.power import compute_sky_power
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
 from tests.lbacal_core.calibration.conftest import Scene

@@ -10,8 +10,8 @@ from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.instrument.chain import calibration_factor
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.skypower.table import read_sky_power
+from lbacal_core.sky.power import compute_sky_power
+from lbacal_core.sky.table import read_sky_power
 from lbacal_core.spectra.spectra import read_spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings

@@ -8,8 +8,8 @@ from lbacal_core.calibration.chain_test import LARGEST_GAIN, describe_mistakes, 
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.simulation.prior import Mistake, list_mistakes, list_other_antennas, sky_prior
-from lbacal_core.skypower.differences import LST_HOURS
-from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.sky.differences import LST_HOURS
+from lbacal_core.sky.power import compute_sky_power
 
 LOFAR = load_instrument("lofar-superterp")
 HALF_HOURS = np.arange(48) / 2.0

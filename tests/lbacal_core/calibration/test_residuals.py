@@ -8,7 +8,7 @@ from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.instrument.power_unit import RESISTANCE_OHM
 from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.simulation.simulation import Simulation, noise_at_input
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.sky.table import SkyPower
 from lbacal_core.spectra.blocks import split_into_blocks
 from lbacal_twin.campaign import Campaign, simulate_campaign
 from lbacal_twin.settings import TwinSettings

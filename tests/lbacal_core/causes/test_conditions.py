@@ -8,7 +8,7 @@ from lbacal_core.causes.antenna import DipoleSwap
 from lbacal_core.causes.axes import AXES, axis_named, list_axes
 from lbacal_core.causes.cable import CableReflection
 from lbacal_core.causes.sky import sky_ratios
-from lbacal_core.skypower.model import vary_sky_power
+from lbacal_core.sky.power import vary_sky_power
 
 
 def seconds(date):

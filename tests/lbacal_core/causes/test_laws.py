@@ -14,7 +14,7 @@ from lbacal_core.causes.cause import Conditions, Template
 from lbacal_core.causes.sky import sky_ratios
 from lbacal_core.instrument.chain import ChainTerms
 from lbacal_core.instrument.instrument import load_instrument
-from lbacal_core.skypower.model import vary_sky_power
+from lbacal_core.sky.power import vary_sky_power
 
 NAMED = {cause.identifier: cause for cause in CAUSES}
 YEAR_S = 365.25 * 86400

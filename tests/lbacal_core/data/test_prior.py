@@ -4,7 +4,7 @@ import pytest
 from lbacal_core.data.prior import read_prior
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.differences import LST_HOURS, SMALLEST_WAVE, waves_at
+from lbacal_core.sky.differences import LST_HOURS, SMALLEST_WAVE, waves_at
 
 
 def test_every_number_has_a_source_and_is_read_by_the_product(repository):

@@ -11,7 +11,7 @@ from lbacal_core.discovery.refit import fit_chain
 from lbacal_core.discovery.scan import FamilySpectra, batch_families, correlate, group_templates, list_families, overlap
 from lbacal_core.discovery.station import model_modes
 from lbacal_core.discovery.view import ChannelTemplates
-from lbacal_core.skypower.differences import compute_model_differences
+from lbacal_core.sky.differences import compute_model_differences
 from lbacal_twin.campaign import expected_power
 from tests.lbacal_core.discovery.worlds import SILENT
 

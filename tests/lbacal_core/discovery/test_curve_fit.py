@@ -15,8 +15,8 @@ from lbacal_core.discovery.curve_fit import (
 from lbacal_core.instrument.chain import three_constants
 from lbacal_core.lstcurve.curve import AS_RECORDED, LstCurve, band_weights, estimate_noise, noise_prior
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.differences import model_difference_modes
-from lbacal_core.skypower.model import vary_sky_power
+from lbacal_core.sky.differences import model_difference_modes
+from lbacal_core.sky.power import vary_sky_power
 
 BAND = (30.0, 80.0)
 LST = np.arange(48) / 2.0 + 0.25

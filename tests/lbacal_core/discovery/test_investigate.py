@@ -6,7 +6,7 @@ import pytest
 
 from lbacal_core.discovery.report import investigate
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.sky.power import compute_sky_power
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.fault import Where
 from lbacal_twin.faults.hardware import GainStep

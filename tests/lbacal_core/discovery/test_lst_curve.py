@@ -8,7 +8,7 @@ from lbacal_core.discovery.curve_search import describe_curve, investigate_curve
 from lbacal_core.lstcurve.curve import AS_RECORDED, LstCurve, band_weights, measured_curve, read_lst_curve
 from lbacal_core.provenance import Provenance
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.model import vary_sky_power
+from lbacal_core.sky.power import vary_sky_power
 
 BAND = (30.0, 80.0)
 LST = np.arange(48) / 2.0

@@ -12,7 +12,7 @@ from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.refit import fit_chain, held_out_fold
 from lbacal_core.discovery.scan import group_templates, scan, score_families
 from lbacal_core.discovery.station import gather_stations, model_modes
-from lbacal_core.skypower.differences import DifferenceModels, compute_model_differences
+from lbacal_core.sky.differences import DifferenceModels, compute_model_differences
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.nuisances import Nuisances
 from lbacal_twin.settings import TwinSettings

@@ -12,7 +12,7 @@ from lbacal_core.discovery.refit import fit_chain, refit
 from lbacal_core.discovery.scan import Score, scan
 from lbacal_core.discovery.station import gather_stations
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.sky.power import compute_sky_power
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.fault import Where
 from lbacal_twin.faults.hardware import GainStep, GainTemperature

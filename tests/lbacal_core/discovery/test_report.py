@@ -8,7 +8,7 @@ from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.report import investigate
 from lbacal_core.errors import LbacalError
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.differences import model_difference_modes
+from lbacal_core.sky.differences import model_difference_modes
 from lbacal_twin.faults.fault import Where
 from lbacal_twin.faults.hardware import GainStep, GainTemperature
 from lbacal_twin.faults.sky import RfiBroadband

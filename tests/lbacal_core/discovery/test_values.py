@@ -18,7 +18,7 @@ from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.report import _noise
 from lbacal_core.discovery.residual_structure import _in_paths, _see_in_paths
 from lbacal_core.discovery.station import gather_stations
-from lbacal_core.skypower.sources import response_towards
+from lbacal_core.sky.sources import response_towards
 
 STATION = Target("station", "station", np.ones(2, dtype=bool))
 EMPTY = np.empty(0)

@@ -35,8 +35,8 @@ from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import Provenance
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.differences import compute_model_differences
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.sky.differences import compute_model_differences
+from lbacal_core.sky.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import DrawnStation, draw_stations, expected_power, simulate_campaign
 from lbacal_twin.faults.fault import Fault

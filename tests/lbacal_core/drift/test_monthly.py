@@ -16,7 +16,7 @@ from lbacal_core.instrument.chain import calibration_factor
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.sky.table import SkyPower
 from lbacal_core.spectra.blocks import SpectraBlock
 from tests.oracles import chain_power
 

@@ -9,7 +9,7 @@ from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.antennas import GainProvenance
 from lbacal_core.instrument.chain import ChainTerms, calibration_factor, noise_constants, three_constants
 from lbacal_core.instrument.stages import Stage
-from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.sky.power import compute_sky_power
 from tests.oracles import chain_power
 
 FREQUENCY = np.linspace(30, 80, 11)

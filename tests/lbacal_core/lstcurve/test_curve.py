@@ -23,7 +23,7 @@ from lbacal_core.lstcurve.curve import (
     read_lst_curve,
     simulate_band_power,
 )
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.sky.table import SkyPower
 
 HEADER = "lst_h,x_db,y_db,error_db"
 ROWS = [f"{lst:g},{0.1 * lst:g},{-0.1 * lst:g},0.1" for lst in np.arange(0, 24, 2.0)]

@@ -9,7 +9,7 @@ from lbacal_core.curves.curves import CalibrationCurve, Parameter
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.sky.table import SkyPower
 from tests.oracles import chain_power
 
 A, SCALE, N_LNA, N_RCU, N_ADC = 0.7, 3.0e9, 0.3, 2.0e-10, 0.1
@@ -99,7 +99,7 @@ def test_a_sky_power_on_other_channels_or_of_another_instrument_is_refused(simul
 
 def test_instrument_and_sky_power_travel_as_one(repository):
     """They stood side by side in 57 files."""
-    below = ("skypower", "lstcurve", "simulation")
+    below = ("sky", "lstcurve", "simulation")
     together = []
     for room in ("lbacal_core", "service/usecases"):
         for path in sorted((repository / room).rglob("*.py")):

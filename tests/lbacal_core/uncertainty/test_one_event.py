@@ -10,7 +10,7 @@ from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.simulation.prior import list_changes
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.sky.power import compute_sky_power
 from lbacal_core.spectra.blocks import SpectraBlock
 from lbacal_core.uncertainty.one_event import (
     ErrorOfC,

@@ -12,8 +12,8 @@ from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.names import load_sky
-from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.skypower.sources import point_source_power
+from lbacal_core.sky.power import compute_sky_power
+from lbacal_core.sky.sources import point_source_power
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_core.uncertainty.prediction import EventNoise, power_per_kelvin, predict_alone, predict_path
 from lbacal_twin.campaign import simulate_campaign

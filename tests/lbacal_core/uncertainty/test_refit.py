@@ -8,7 +8,7 @@ from lbacal_core.antenna.ideal import ShortDipole
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.simulation.prior import list_changes
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.skypower.model import compute_sky_power
+from lbacal_core.sky.power import compute_sky_power
 from lbacal_core.uncertainty.refit import OTHER_ANTENNA, add_budget, compute_budget, measure_electronics
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings

@@ -9,7 +9,7 @@ import pytest
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.instrument.sidereal import local_sidereal_time
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.sky.table import SkyPower
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.fault import Fault
 from lbacal_twin.faults.sky import IsotropicLevel

@@ -11,7 +11,7 @@ import pytest
 from lbacal_core.errors import UnknownNameError
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.sky.table import SkyPower
 from lbacal_twin.campaign import draw_stations, expected_power
 from lbacal_twin.faults.catalogue import catalogue_faults, draw_fault
 from lbacal_twin.faults.fault import Where

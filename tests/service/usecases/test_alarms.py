@@ -10,7 +10,7 @@ import pytest
 from fastapi.testclient import TestClient
 
 from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.skypower.table import read_sky_power
+from lbacal_core.sky.table import read_sky_power
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.sky import LstOffset
 from lbacal_twin.settings import TwinSettings

@@ -13,7 +13,7 @@ from fastapi.testclient import TestClient
 from lbacal_core.curves.curves import parse_curve
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.skypower.table import read_sky_power
+from lbacal_core.sky.table import read_sky_power
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import Campaign, simulate_campaign
 from lbacal_twin.faults.fault import Where

@@ -16,7 +16,7 @@ from lbacal.instants import DAY_US, format_instant, parse_instant
 from lbacal_core.causes.model import AdoptedCause, Model
 from lbacal_core.curves.validity import Scope, timeline
 from lbacal_core.instrument.instrument import Instrument, load_instrument
-from lbacal_core.skypower.table import read_sky_power, write_sky_power
+from lbacal_core.sky.table import read_sky_power, write_sky_power
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.fault import Where

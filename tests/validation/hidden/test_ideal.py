@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 
 from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.sky.table import SkyPower
 from lbacal_twin.campaign import draw_stations, expected_power, simulate_campaign
 from lbacal_twin.faults.fault import Fault, Where
 from lbacal_twin.faults.hardware import AdcJitter, CableLength, CableReflection, Compression, GainStep, GainTemperature

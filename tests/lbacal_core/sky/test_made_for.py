@@ -9,11 +9,11 @@ import pytest
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.antennas import GainProvenance
 from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.sky.antenna_of import antenna_of
 from lbacal_core.sky.model import find_sources
-from lbacal_core.skypower.antenna_of import antenna_of
-from lbacal_core.skypower.model import compute_sky_power, vary_sky_power
-from lbacal_core.skypower.sources import add_sources, response_towards
-from lbacal_core.skypower.table import read_sky_power, write_sky_power
+from lbacal_core.sky.power import compute_sky_power, vary_sky_power
+from lbacal_core.sky.sources import add_sources, response_towards
+from lbacal_core.sky.table import read_sky_power, write_sky_power
 
 LST = np.arange(24.0)
 

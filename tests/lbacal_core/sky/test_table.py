@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.errors import BadInputError
-from lbacal_core.skypower.table import (
+from lbacal_core.sky.table import (
     SkyPower,
     fewest_harmonics,
     make_even,

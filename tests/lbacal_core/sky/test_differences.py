@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.instrument.instrument import Instrument, load_instrument
-from lbacal_core.skypower.differences import (
+from lbacal_core.sky.differences import (
     LST_HOURS,
     DifferenceModels,
     ModelDifferences,
@@ -12,7 +12,7 @@ from lbacal_core.skypower.differences import (
     model_difference_modes,
     waves_at,
 )
-from lbacal_core.skypower.model import compute_sky_power, vary_sky_power
+from lbacal_core.sky.power import compute_sky_power, vary_sky_power
 
 
 @pytest.fixture(scope="module")

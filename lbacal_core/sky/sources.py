@@ -14,9 +14,9 @@ from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.instrument.power_unit import IMPEDANCE_OF_FREE_SPACE, RESISTANCE_OHM
 from lbacal_core.provenance import hash_content
+from lbacal_core.sky.antenna_of import antenna_for_ratios
 from lbacal_core.sky.model import DATA_EPOCH, PointSource, local_direction, precess
-from lbacal_core.skypower.antenna_of import antenna_for_ratios
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.sky.table import SkyPower
 
 JANSKY = 1e-26
 HERTZ_PER_MHZ = 1e6

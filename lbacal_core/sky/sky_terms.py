@@ -2,7 +2,7 @@
 
 Three budgets. ``paper``: scale, map and model of Mulrey et al. 2019. ``models``: the spread of seven sky models, and
 what the shipped ones differ by beyond it. ``measured``: the error of the level on which the experiments of
-`skypower.anchors` agree, and what carries it from their sky to the instrument's.
+`combine_anchors` agree, and what carries it from their sky to the instrument's.
 """
 
 from __future__ import annotations
@@ -25,7 +25,9 @@ from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.instrument.power_unit import power_per_kelvin_sr
 from lbacal_core.linear import invert_symmetric, root_of
+from lbacal_core.sky.antenna_of import antenna_of
 from lbacal_core.sky.model import DATA_EPOCH, SkyModel, precess_multipoles
+from lbacal_core.sky.modes import beam_multipoles, beam_on_equator
 from lbacal_core.sky.names import (
     BASE_SKY,
     MEASURED_SKY,
@@ -38,10 +40,8 @@ from lbacal_core.sky.names import (
     load_sky,
     read_sky_level,
 )
-from lbacal_core.skypower.antenna_of import antenna_of
-from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.skypower.modes import beam_multipoles, beam_on_equator
-from lbacal_core.skypower.table import SkyPower
+from lbacal_core.sky.power import compute_sky_power
+from lbacal_core.sky.table import SkyPower
 
 # How hot the sky was measured to be: experiments against a sky model, their mean, each predicted by the others.
 

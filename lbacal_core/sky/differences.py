@@ -23,11 +23,11 @@ from lbacal_core.data.prior import read_prior
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.linear import fit_least_squares
+from lbacal_core.sky.antenna_of import antenna_for_ratios
 from lbacal_core.sky.model import DATA_EPOCH, Complexes, precess_multipoles
+from lbacal_core.sky.modes import beam_multipoles, combine, sky_power_at
 from lbacal_core.sky.names import DEFAULT_SKY, default_sky, load_sky
-from lbacal_core.skypower.antenna_of import antenna_for_ratios
-from lbacal_core.skypower.modes import beam_multipoles, combine, sky_power_at
-from lbacal_core.skypower.table import read_at
+from lbacal_core.sky.table import read_at
 
 LST_HOURS = np.arange(48) / 2.0
 """P_sky of multipoles to l = 16 is exact between these points."""

@@ -13,11 +13,11 @@ from lbacal_core.antenna.varied import VariedAntenna
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import hash_content
+from lbacal_core.sky.antenna_of import antenna_for_ratios, antenna_of
 from lbacal_core.sky.model import DATA_EPOCH, SkyModel, precess_multipoles
+from lbacal_core.sky.modes import beam_multipoles, combine, sky_power_at
 from lbacal_core.sky.names import default_sky, load_sky
-from lbacal_core.skypower.antenna_of import antenna_for_ratios, antenna_of
-from lbacal_core.skypower.modes import beam_multipoles, combine, sky_power_at
-from lbacal_core.skypower.table import SkyPower, describe_view
+from lbacal_core.sky.table import SkyPower, describe_view
 
 LST_HOURS = np.arange(96) / 4.0
 """The default grid; P_sky has so few Fourier terms that it is exact between these points as well."""

@@ -9,8 +9,8 @@ from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.sky.model import SkyModel
 from lbacal_core.sky.names import load_sky, read_sky_level
-from lbacal_core.skypower.model import compute_sky_power
-from lbacal_core.skypower.sky_terms import (
+from lbacal_core.sky.power import compute_sky_power
+from lbacal_core.sky.sky_terms import (
     SKY_BUDGETS,
     Anchor,
     SkyTerm,
