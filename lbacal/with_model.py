@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 from lbacal_core.errors import BadInputError, UnreadableFileError
 
 if TYPE_CHECKING:
+    from lbacal_core.calibration.left_open import OpenTerm
     from lbacal_core.causes.model import Model
-    from lbacal_core.uncertainty.left_open import OpenTerm
 
 
 class Reported(Protocol):
@@ -60,7 +60,7 @@ def read_open_terms(given: Extended, option: str = "--with") -> list[OpenTerm]:
 
     ``R.json`` adopts all of them with an option of `ADOPTING`, and none with another.
     """
-    from lbacal_core.uncertainty.left_open import list_open_terms
+    from lbacal_core.calibration.left_open import list_open_terms
 
     if given is None:
         return []

@@ -6,17 +6,17 @@ N_LNA, N / G_ant    lbacal_core.calibration.chain_form  where noise enters, by t
 b = N_LNA s + ...   lbacal_core.calibration.separable   the chain ties the intercepts together
 C = (G_ant / s)^1/2 lbacal_core.instrument.chain        the calibration factor
 P / P(causes)       lbacal_core.discovery.calibrate     what the simulation's causes do, their sizes fitted with C
-sigma_sys(C)        lbacal_core.uncertainty             every input that may be wrong, exchanged and fitted again
+sigma_sys(C)        lbacal_core.calibration.budget      every input that may be wrong, exchanged and fitted again
 """
 
 from __future__ import annotations
 
+from lbacal_core.calibration.budget import add_budget, compute_budget
 from lbacal_core.curves.curves import FitReport
 from lbacal_core.discovery.calibrate import fit_causes
 from lbacal_core.simulation.prior import DEFAULT_SKY_BUDGET
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.spectra import Spectra
-from lbacal_core.uncertainty.refit import add_budget, compute_budget
 
 
 def calibrate(

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lbacal_core.calibration import budget as uncertainty
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves import covariance
 from lbacal_core.curves.curves import CalibrationCurve
@@ -25,7 +26,6 @@ from lbacal_core.sky.power import compute_sky_power, vary_sky_power
 from lbacal_core.sky.sky_terms import PAPER
 from lbacal_core.sky.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra
-from lbacal_core.uncertainty import refit as uncertainty
 from lbacal_paper.study import SEED, STATION, Study
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings

@@ -16,6 +16,7 @@ from functools import cache, partial
 
 import numpy as np
 
+from lbacal_core.calibration.budget import add_budget, compute_budget
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves.curves import MISFIT
 from lbacal_core.data.prior import read_prior
@@ -26,7 +27,6 @@ from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.sky_terms import SkyTerm
 from lbacal_core.sky.table import read_at
 from lbacal_core.spectra.spectra import Spectra
-from lbacal_core.uncertainty.refit import add_budget, compute_budget
 from lbacal_twin.campaign import Campaign, simulate_campaign
 from lbacal_twin.settings import TwinSettings
 from validation.machinery.claims import Found, mean_of

@@ -18,6 +18,7 @@ import numpy as np
 
 from lbacal_core.antenna.ideal import ShortDipole
 from lbacal_core.antenna.model import AntennaModel
+from lbacal_core.calibration.budget import add_budget, compute_budget
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves.curves import CONVERGED, MISFIT, OK, FitReport
 from lbacal_core.errors import BadInputError
@@ -27,7 +28,6 @@ from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.differences import DifferenceModels
 from lbacal_core.sky.power import compute_sky_power
 from lbacal_core.spectra.spectra import Spectra
-from lbacal_core.uncertainty.refit import add_budget, compute_budget
 from lbacal_twin.campaign import Campaign, simulate_campaign
 from lbacal_twin.gains import NOISES
 from lbacal_twin.settings import TwinSettings

@@ -16,6 +16,7 @@ from scipy.interpolate import PchipInterpolator
 
 from lbacal_core.antenna.names import load_antenna
 from lbacal_core.calibration.antenna_noise import draw_noise
+from lbacal_core.calibration.budget import compute_budget, electronics_sigma
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves.covariance import Budget
 from lbacal_core.curves.curves import CalibrationCurve
@@ -24,7 +25,6 @@ from lbacal_core.grids import Floats
 from lbacal_core.instrument.power_unit import RESISTANCE_OHM
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.traces.voltage import calibrate_trace
-from lbacal_core.uncertainty.refit import compute_budget, electronics_sigma
 from lbacal_paper.reference_source import HEIGHT_M, LABORATORY_M, LEFT_OF_FLOOR, floor_factor, near_field_factor
 from lbacal_paper.showers.comparison import Displacement, compare_calibrations
 from lbacal_paper.showers.recording import record

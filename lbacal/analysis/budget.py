@@ -17,13 +17,13 @@ from lbacal.analysis.instrument import Described, simulation_of
 from lbacal.analysis.result import Result
 from lbacal.pages.budget import describe_best, draw_budget, stack_terms, tabulate
 from lbacal.with_model import Extended, read_open_terms
+from lbacal_core.calibration.budget import compute_budget, measure_electronics
 from lbacal_core.calibration.chain_form import compare_forms
 from lbacal_core.curves.covariance import Budget, BudgetTerm
 from lbacal_core.grids import Floats
 from lbacal_core.simulation.prior import DEFAULT_SKY_BUDGET
 from lbacal_core.sky.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra
-from lbacal_core.uncertainty.refit import compute_budget, measure_electronics
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)

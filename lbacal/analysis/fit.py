@@ -21,6 +21,8 @@ from lbacal.pages.fit import average_residuals, draw_c, draw_fit, draw_page
 from lbacal.pages.fit_summary import describe_error, explain_chi2, tabulate_curves
 from lbacal.with_model import Extended, read_model, read_open_terms
 from lbacal_core.audit.audit import audit_quickly
+from lbacal_core.calibration.left_open import widen_by_open_terms
+from lbacal_core.calibration.one_event import ErrorOfC, measure_error
 from lbacal_core.calibration.paths import LEAST_COVERAGE
 from lbacal_core.curves.curves import CONVERGED, MISFIT, Anomalies, CalibrationCurve, FitReport
 from lbacal_core.curves.galcal import describe_made_with
@@ -31,8 +33,6 @@ from lbacal_core.pipeline import calibrate
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra
-from lbacal_core.uncertainty.left_open import widen_by_open_terms
-from lbacal_core.uncertainty.one_event import ErrorOfC, measure_error
 
 SCOPES = ("antenna", "station", "array")
 """What one curve may belong to."""

@@ -18,9 +18,9 @@ from lbacal.analysis.instrument import Described, simulation_of
 from lbacal.analysis.result import Result
 from lbacal.client import Client, format_time
 from lbacal.instants import format_instant, parse_instant
+from lbacal_core.calibration.prediction import EventNoise, predict_alone, predict_path
 from lbacal_core.errors import UnknownNameError
 from lbacal_core.grids import Floats
-from lbacal_core.uncertainty.prediction import EventNoise, predict_alone, predict_path
 
 SHOWN = 6
 """Frequencies of the printed table, from the lowest channel to the highest."""

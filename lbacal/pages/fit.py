@@ -11,6 +11,8 @@ from matplotlib.figure import Figure
 
 from lbacal.pages.fit_summary import MOST_ROWS, explain_chi2, tabulate_curves
 from lbacal.pages.report import COLOURS, DIPOLE_COLOURS, GREY, embed, fill_report
+from lbacal_core.calibration.budget import largest_chi2_per_dof
+from lbacal_core.calibration.one_event import map_departures
 from lbacal_core.curves.covariance import Budget
 from lbacal_core.curves.curves import MISFIT, OK, CalibrationCurve, FitReport
 from lbacal_core.grids import Floats
@@ -18,8 +20,6 @@ from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.simulation.simulation import Simulation, noise_at_input
 from lbacal_core.spectra.blocks import iterate_blocks
 from lbacal_core.spectra.spectra import Spectra
-from lbacal_core.uncertainty.one_event import map_departures
-from lbacal_core.uncertainty.refit import largest_chi2_per_dof
 
 
 def draw_page(report: FitReport, figure: Figure, source: str, sentences: Sequence[str]) -> str:

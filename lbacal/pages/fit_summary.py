@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from lbacal_core.calibration.budget import largest_chi2_per_dof
+from lbacal_core.calibration.one_event import ErrorOfC
 from lbacal_core.curves.curves import MISFIT, OK, CalibrationCurve
-from lbacal_core.uncertainty.one_event import ErrorOfC
-from lbacal_core.uncertainty.refit import largest_chi2_per_dof
 
 MOST_ROWS = 16
 """More curves are told by station and polarisation."""

@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from lbacal.instants import format_instant
 from lbacal_core.audit.audit import audit_quickly
+from lbacal_core.calibration.budget import add_budget, compute_budget
 from lbacal_core.calibration.continued import Continued, continue_fit
 from lbacal_core.calibration.separable import solve_separable
 from lbacal_core.calibration.singles import MIN_EVENTS
@@ -33,7 +34,6 @@ from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import MODEL_VERSION, Remembered, hash_content
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.spectra import Spectra
-from lbacal_core.uncertainty.refit import add_budget, compute_budget
 from service.errors import ConflictError
 from service.storage.changes import Cut
 from service.storage.database import Stores

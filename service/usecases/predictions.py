@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 
+from lbacal_core.calibration.prediction import Prediction, predict_path
 from lbacal_core.curves.covariance import parse_budget
 from lbacal_core.curves.validity import Instant
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.uncertainty.prediction import Prediction, predict_path
 from service.storage.versions import MICROSECONDS
 from service.usecases.calibrations import Calibrations, CurveInEffect, select_paths
 

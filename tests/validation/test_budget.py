@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lbacal_core.calibration.budget import OTHER_ANTENNA, compute_budget
 from lbacal_core.calibration.chain_form import FORM_OF_CHAIN
 from lbacal_core.sky.power import compute_sky_power
-from lbacal_core.uncertainty.refit import OTHER_ANTENNA, compute_budget
 from validation.budget import SETTINGS, believe, draw_antenna, draw_campaign, tell_campaign
 from validation.machinery.parts import Row
 from validation.machinery.records import verdicts_of

@@ -16,6 +16,7 @@ import numpy as np
 from lbacal.pages.curve import draw_curve
 from lbacal.pages.investigation import axes_of, draw_finding, draw_residual_maps
 from lbacal.pages.report import embed, fill_report
+from lbacal_core.calibration.budget import add_budget, compute_budget
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves.curves import CalibrationCurve, FitReport
 from lbacal_core.data.lofar import DIPOLES
@@ -28,7 +29,6 @@ from lbacal_core.lstcurve.curve import BAND_MHZ, measured_curve, read_lst_curve
 from lbacal_core.provenance import Provenance
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.spectra import Spectra, write_spectra
-from lbacal_core.uncertainty.refit import add_budget, compute_budget
 from lbacal_twin.campaign import Campaign, simulate_campaign
 from lbacal_twin.faults.sky import SolarEmission
 from lbacal_twin.settings import TwinSettings

@@ -19,6 +19,7 @@ from lbacal.pages.fit import average_residuals, draw_fit, draw_page
 from lbacal.pages.fit_summary import describe_error, explain_chi2, tabulate_curves
 from lbacal.pages.investigation import draw_scores, draw_structure
 from lbacal.pages.tables import align
+from lbacal_core.calibration.one_event import ErrorOfC
 from lbacal_core.curves.covariance import Budget, BudgetTerm, parse_budget
 from lbacal_core.curves.curves import CalibrationCurve, FitReport
 from lbacal_core.discovery.report import investigate
@@ -30,7 +31,6 @@ from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.power import compute_sky_power
 from lbacal_core.sky.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra, write_spectra
-from lbacal_core.uncertainty.one_event import ErrorOfC
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.fault import Where
 from lbacal_twin.faults.hardware import CableReflection, GainStep

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from lbacal_core.calibration import singles
+from lbacal_core.calibration.budget import compute_budget
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.calibration.singles import MIN_EVENTS, fit_singles
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.blocks import split_into_blocks
-from lbacal_core.uncertainty.refit import compute_budget
 
 
 @pytest.fixture(scope="module")

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from lbacal_core.calibration.one_event import compare_paths
 from lbacal_core.curves.covariance import Budget
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.errors import BadInputError
@@ -32,7 +33,6 @@ from lbacal_core.sky.table import read_at
 from lbacal_core.spectra.blocks import iterate_blocks
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_core.traces.voltage import statistical_errors, systematic_errors
-from lbacal_core.uncertainty.one_event import compare_paths
 
 EVENT_GAIN = 0.05
 """Standard deviation of the gain of an event, flat along frequency (Mulrey et al. 2019, section 5)."""

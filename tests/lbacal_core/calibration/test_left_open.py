@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from lbacal_core.calibration.fit import fit_calibration
+from lbacal_core.calibration.left_open import list_open_terms, widen_by_open_terms
 from lbacal_core.errors import BadInputError
-from lbacal_core.uncertainty.left_open import list_open_terms, widen_by_open_terms
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
 

@@ -5,11 +5,11 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from lbacal_core.antenna.ideal import ShortDipole
+from lbacal_core.calibration.budget import OTHER_ANTENNA, add_budget, compute_budget, measure_electronics
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.simulation.prior import list_changes
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.power import compute_sky_power
-from lbacal_core.uncertainty.refit import OTHER_ANTENNA, add_budget, compute_budget, measure_electronics
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
 

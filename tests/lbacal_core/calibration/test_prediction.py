@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import lbacal
+from lbacal_core.calibration.prediction import EventNoise, power_per_kelvin, predict_alone, predict_path
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.simulation.simulation import Simulation
@@ -15,7 +16,6 @@ from lbacal_core.sky.names import load_sky
 from lbacal_core.sky.power import compute_sky_power
 from lbacal_core.sky.sources import point_source_power
 from lbacal_core.spectra.spectra import Spectra
-from lbacal_core.uncertainty.prediction import EventNoise, power_per_kelvin, predict_alone, predict_path
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
 

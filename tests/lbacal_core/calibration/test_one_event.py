@@ -3,7 +3,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lbacal_core.calibration.budget import electronics_sigma
 from lbacal_core.calibration.fit import fit_calibration
+from lbacal_core.calibration.one_event import (
+    ErrorOfC,
+    compare_paths,
+    map_departures,
+    measure_error,
+    measure_event_gains,
+)
 from lbacal_core.curves.curves import CalibrationCurve, Parameter
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import load_instrument
@@ -12,14 +20,6 @@ from lbacal_core.simulation.prior import list_changes
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.power import compute_sky_power
 from lbacal_core.spectra.blocks import SpectraBlock
-from lbacal_core.uncertainty.one_event import (
-    ErrorOfC,
-    compare_paths,
-    map_departures,
-    measure_error,
-    measure_event_gains,
-)
-from lbacal_core.uncertainty.refit import electronics_sigma
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
 
