@@ -22,6 +22,7 @@ from threadpoolctl import threadpool_limits
 
 from lbacal_core.calibration.chain_form import FORM_OF_CHAIN, PUBLISHED_FORM, ChainForm, compare_forms
 from lbacal_core.calibration.fit import fit_calibration
+from lbacal_core.calibration.windows import leave_out_changed, set_apart
 from lbacal_core.calibration.years import Beside
 from lbacal_core.causes.model import Model
 from lbacal_core.curves.covariance import compress_covariance
@@ -40,7 +41,6 @@ from lbacal_core.discovery.baseline import leave_out_deaf
 from lbacal_core.discovery.hypothesis import Hypothesis
 from lbacal_core.discovery.refit import power_ratio
 from lbacal_core.discovery.station import Station, model_modes
-from lbacal_core.drift.windows import leave_out_changed, set_apart
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.chain import ChainTerms
 from lbacal_core.linear import root_of
@@ -290,7 +290,7 @@ def fit_causes(spectra: Spectra, simulation: Simulation, *, are_sizes_known: boo
     ----------
     spectra
         All spectra of the stations in a window: `FittedCauses.select` takes some of them afterwards. An antenna whose
-        hardware changed in it is fitted as several (`drift.windows.set_apart`).
+        hardware changed in it is fitted as several (`calibration.windows.set_apart`).
     simulation
         Where its sky is its own, the differences between sky and antenna models are profiled out.
     are_sizes_known

@@ -19,6 +19,7 @@ from lbacal_core.calibration.budget import add_budget, compute_budget
 from lbacal_core.calibration.continued import Continued, continue_fit
 from lbacal_core.calibration.separable import solve_separable
 from lbacal_core.calibration.singles import MIN_EVENTS
+from lbacal_core.calibration.windows import cut_window, find_hardware_changes
 from lbacal_core.calibration.years import Beside
 from lbacal_core.causes.model import Model
 from lbacal_core.curves.covariance import Budget
@@ -27,7 +28,6 @@ from lbacal_core.curves.kept_lines import KeptLines, Owner
 from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.discovery.calibrate import FittedCauses, fit_causes
-from lbacal_core.drift.windows import cut_window, find_hardware_changes
 from lbacal_core.errors import name_path
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from lbacal_core.calibration.singles import MIN_EVENTS
+from lbacal_core.calibration.windows import leave_out_changed
 from lbacal_core.causes.model import Model
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.discovery.policy import Policy
-from lbacal_core.drift.windows import leave_out_changed
 from lbacal_core.provenance import hash_content
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.spectra import Spectra

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from lbacal_core.calibration.windows import leave_out_changed
 from lbacal_core.causes.model import Model
 from lbacal_core.curves.validity import Instant
 from lbacal_core.discovery.adopted import measure_gains
 from lbacal_core.discovery.calibrate import FittedCauses
-from lbacal_core.drift.windows import leave_out_changed
 from lbacal_core.simulation.simulation import Simulation
 from service.storage.database import Stores
 from service.storage.models import ADOPTED, MICROSECONDS, Gain

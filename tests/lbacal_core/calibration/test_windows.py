@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.drift.windows import cut_window, find_hardware_changes, leave_out_changed, set_apart
+from lbacal_core.calibration.windows import cut_window, find_hardware_changes, leave_out_changed, set_apart
 from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.spectra.spectra import Spectra
