@@ -81,16 +81,23 @@ def test_data_that_stopped_coming_are_stale_unless_nobody_expects_any(
     assert alarms(client) == []
 
 
-def test_a_job_that_fails_is_an_alarm_at_once_and_its_next_try_the_same(factory: Factory, client: TestClient) -> None:
-    body = {"scope": "antenna", "since": "2012-01-01", "until": "2013-01-01", "station": "CS001", "reason": "test"}
+def test_due_work_that_fails_is_an_alarm_at_once_and_what_somebody_asked_for_is_none(
+    factory: Factory, client: TestClient
+) -> None:
     store(factory, range(3))
-    for _ in range(2):
-        assert client.post("/v1/refits", json=body).status_code == 202
-        work(factory)
-    (failed,) = alarms(client, kind="failed_job")
-    assert failed["sentence"].startswith("refit antenna CS001 failed: no usable spectra of CS001")
+    assert factory.due.enqueue()
+    for event in client.get("/v1/events").json()["events"]:
+        flag = {"flag": "bad", "reason": "test"}
+        assert client.post(f"/v1/events/{event['event_id']}/flag", json=flag).status_code == 200
+    work(factory)
+    failed = alarms(client, kind="failed_job")
+    sentences = [one["sentence"] for one in failed]
+    assert any(one.startswith("refit antenna CS001 failed: no usable spectra of CS001") for one in sentences)
+    body = {"scope": "antenna", "since": "2012-01-01", "until": "2013-01-01", "station": "CS001", "reason": "test"}
+    assert client.post("/v1/refits", json=body).status_code == 202
+    work(factory)
     factory.alarms.look()
-    assert len(alarms(client, kind="failed_job")) == 1
+    assert [one["sentence"] for one in alarms(client, kind="failed_job")] == sentences
 
 
 def test_alarms_stand_in_metrics_in_the_status_and_on_top_of_the_overview(
