@@ -11,7 +11,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from lbacal.tables import COLUMNS, NO_ANTENNA, write_format
+from lbacal.tables import ABSENT, COLUMNS, NO_ANTENNA, write_format
 from lbacal_core.curves.galcal import FORMAT, KEY, name_path
 from lbacal_core.errors import BadInputError, UnreadableFileError
 from lbacal_core.hdf5 import INTEGERS, NUMBERS, STRINGS, Kind, open_dataset, read_text, read_values
@@ -142,9 +142,7 @@ def _columns_of(table: Any) -> dict[str, Any]:
     columns = {}
     for name in table.colnames:
         kind = COLUMNS[name].kind if name in COLUMNS else str
-        absent: Any = {float: np.nan, int: NO_ANTENNA, str: ""}[kind]
-        values = np.ma.filled(table[name], absent)
-        columns[name] = np.asarray(values)
+        columns[name] = np.asarray(np.ma.filled(table[name], ABSENT[kind]))
     return columns
 
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from lbacal.cache import Cache, Question, Snapshot, find_cache
 from lbacal.instants import parse_instant
+from lbacal.tables import COLUMNS, make_columns
 from lbacal.transport import STUCK_S, TRIES, Transport, UnreachableError
 from lbacal_core.curves.galcal import name_path
 from lbacal_core.errors import BadInputError
@@ -33,11 +34,6 @@ BUNDLE = 10_000
 """Spectra of a request of `ingest`, in whole events: 4 MB, a tenth of a second of the server."""
 ASKED_AT_ONCE = 5
 """Events about which the server is asked whether it has them, in one request."""
-_COLUMNS = {
-    "c": "calibration factor C(nu), V per ADC unit",
-    "c_sigma_stat": "statistical standard deviation of c",
-    "c_sigma_sys": "systematic standard deviation of c, by the budget that its covariance names; NaN in old versions",
-}
 
 
 class CachedAnswerWarning(UserWarning):
@@ -285,35 +281,12 @@ def make_table(answer: dict[str, Any]) -> CurveTable:
 
     from lbacal.curve_table import CurveTable
 
-    curves = answer["curves"]
-    counts = [len(curve["c"]) for curve in curves]
-
-    def repeat(values: list[Any], kind: Any) -> Any:
-        return np.repeat(np.array(values, dtype=kind), counts)
-
-    def join(name: str) -> Any:
-        return np.concatenate([[], *(curve.get(name) or [np.nan] * len(curve["c"]) for curve in curves)]).astype(float)
-
     table = CurveTable()
-    table["station"] = repeat([curve["station"] or "" for curve in curves], np.str_)
-    table["antenna"] = repeat([-1 if curve["antenna"] is None else curve["antenna"] for curve in curves], np.int64)
-    table["dipole"] = repeat([curve["dipole"] for curve in curves], np.str_)
-    table["frequency_mhz"] = join("frequency_mhz") * u.MHz
-    for name, text in _COLUMNS.items():
-        table[name] = join(name) * u.V
-        table[name].info.description = text
-    table["factor"] = join("factor")
-    table["flag"] = np.array([flag for curve in curves for flag in curve["flag"]], dtype=np.str_)
-    table["flag_reason"] = repeat([curve["flag_reason"] or "" for curve in curves], np.str_)
-    table["calibration"] = repeat([curve["calibration"] or "" for curve in curves], np.str_)
-    table["answered_by"] = repeat([curve["answered_by"] or "" for curve in curves], np.str_)
-    table["valid_from"] = repeat([curve["valid"]["from"] or "" for curve in curves], np.str_)
-    table["valid_to"] = repeat([curve["valid"]["to"] or "" for curve in curves], np.str_)
-    table["c_over_h"] = join("c_over_h") * u.V / u.m
-    table["c_over_h"].info.description = "C/|H_zenith|, V/m per ADC unit, field along the arm from the zenith"
-    table["antenna_gain"] = join("antenna_gain") * u.m**2
-    table["antenna_gain"].info.description = "G_ant that c belongs to; NaN where the version does not keep it"
+    for name, values in make_columns(answer).items():
+        unit, description = COLUMNS[name].unit, COLUMNS[name].description
+        table[name] = values * u.Unit(unit) if unit else values
+        table[name].info.description = description
     table.meta = {name: answer.get(name) for name in ("at", "as_of", "missing")}
     table.meta["budgets"] = answer.get("budgets", {})
-    table.meta["covariances"] = {name_path(curve): curve.get("covariance") for curve in curves}
+    table.meta["covariances"] = {name_path(curve): curve.get("covariance") for curve in answer["curves"]}
     return table

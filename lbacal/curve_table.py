@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from astropy import units as u
 from astropy.table import QTable
 
-from lbacal.voltages import curve_of
+from lbacal.voltages import budget_of, curve_of
 from lbacal_core.curves.curves import INTERFERENCE, CalibrationCurve
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
-
-if TYPE_CHECKING:
-    from lbacal_core.curves.covariance import Budget
 
 
 @dataclass(frozen=True, repr=False)
@@ -118,18 +115,10 @@ def _combine(
     channels = np.where(curve.has_value, np.asarray(curve.c), 0.0)
     parts = [
         np.reshape([weights @ (channels * np.nan_to_num(error)) for error in errors], (-1, len(weights)))
-        for errors in (statistical_errors(curve), systematic_errors(curve, _budget_of(table, curve)))
+        for errors in (statistical_errors(curve), systematic_errors(curve, budget_of(table, curve)))
     ]
     stat, sys = (np.sqrt(np.sum(part**2, axis=0)) * u.V for part in parts)
     covariance = sum(part.T @ part for part in parts) * u.V**2
     c = weights @ channels * u.V
     values = (c[0], stat[0], sys[0], covariance[0, 0]) if is_one else (c, stat, sys, covariance)
     return CalibrationValue(frequency, *values)
-
-
-def _budget_of(table: QTable, curve: CalibrationCurve) -> Budget | None:
-    """The systematic terms that the curve's covariance names, from the meta of its table."""
-    from lbacal_core.curves.covariance import parse_budget
-
-    named = None if curve.covariance is None else table.meta.get("budgets", {}).get(curve.covariance.budget)
-    return None if named is None else parse_budget(named)

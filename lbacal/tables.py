@@ -23,6 +23,8 @@ LAYOUT = ("v108", "v108")
 """HDF5's file format: the first that has room for long attributes."""
 NURADIO_MHZ = np.arange(101.0)
 NO_ANTENNA = -1
+ABSENT: dict[type, Any] = {float: np.nan, int: NO_ANTENNA, str: ""}
+"""What a column has where there is no value, by the kind of the column."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,7 @@ class _Column:
 
     def convert(self, values: list[Any]) -> NDArray[Any]:
         """The values of all rows."""
-        absent = {float: np.nan, int: NO_ANTENNA, str: ""}[self.kind]
+        absent = ABSENT[self.kind]
         return np.array([absent if value is None else value for value in values], dtype=self.kind)
 
 
@@ -75,26 +77,25 @@ def write_format(name: str, answer: dict[str, Any]) -> bytes:
     return writers[name](answer)
 
 
+def _values_of(answer: dict[str, Any]) -> dict[str, list[Any]]:
+    """The values of every column, one per path and frequency; an unknown error and an open end are None."""
+    columns: dict[str, list[Any]] = {name: [] for name in COLUMNS}
+    for curve in answer["curves"]:
+        told = curve | {"valid_from": curve["valid"]["from"], "valid_to": curve["valid"]["to"]}
+        for name, values in columns.items():
+            value = told.get(name)
+            values.extend(value if isinstance(value, list) else [value] * len(curve["c"]))
+    return columns
+
+
 def rows_of(answer: dict[str, Any]) -> list[dict[str, Any]]:
     """One row per path and frequency; an unknown error and an open end are None."""
-    rows = []
-    for curve in answer["curves"]:
-        unknown = [None] * len(curve["c"])
-        system, over_h = curve["c_sigma_sys"] or unknown, curve.get("c_over_h") or unknown
-        gain = curve.get("antenna_gain") or unknown
-        for k, frequency in enumerate(curve["frequency_mhz"]):
-            rows.append(
-                {
-                    "station": curve["station"], "antenna": curve["antenna"], "dipole": curve["dipole"],
-                    "frequency_mhz": frequency, "c": curve["c"][k], "c_sigma_stat": curve["c_sigma_stat"][k],
-                    "c_sigma_sys": system[k], "flag": curve["flag"][k], "flag_reason": curve["flag_reason"],
-                    "factor": curve["factor"][k],
-                    "calibration": curve["calibration"], "answered_by": curve["answered_by"],
-                    "valid_from": curve["valid"]["from"], "valid_to": curve["valid"]["to"],
-                    "c_over_h": over_h[k], "antenna_gain": gain[k],
-                }
-            )  # fmt: skip
-    return rows
+    return [dict(zip(COLUMNS, row, strict=True)) for row in zip(*_values_of(answer).values(), strict=True)]
+
+
+def make_columns(answer: dict[str, Any]) -> dict[str, NDArray[Any]]:
+    """Every column as an array: numbers are NaN, texts empty where there is none."""
+    return {name: COLUMNS[name].convert(values) for name, values in _values_of(answer).items()}
 
 
 def write_csv(answer: dict[str, Any]) -> bytes:
@@ -124,9 +125,7 @@ def write_fits(answer: dict[str, Any]) -> bytes:
     from astropy.io import fits
 
     table = _make_table(answer)
-    for name in table.colnames:
-        if table[name].dtype.kind == "U":
-            table[name] = np.char.encode(table[name].data, "ascii", "backslashreplace")
+    escape_texts(table)
     hdu = fits.table_to_hdu(table)
     hdu.header["EXTNAME"] = "EFFECTIVE"
     hdu.header["AT"] = (answer["at"] or "", "when the data were taken, UTC")
@@ -148,10 +147,17 @@ def write_hdf5(answer: dict[str, Any]) -> bytes:
     with h5py.File(file, "w", libver=LAYOUT) as root:
         root.attrs.update({"format": FORMAT, "at": answer["at"] or "", "as_of": answer["as_of"] or ""})
         root.attrs[KEY] = _write_head(answer)
-        for name, values in _make_columns(answer).items():
+        for name, values in make_columns(answer).items():
             dataset = root.create_dataset(name, data=_encode_texts(values))
             dataset.attrs.update({"unit": COLUMNS[name].unit, "description": COLUMNS[name].description})
     return file.getvalue()
+
+
+def escape_texts(table: Table) -> None:
+    """Write the texts of a table in ASCII, other characters as escapes: what FITS and astropy's HDF5 hold."""
+    for name in table.colnames:
+        if table[name].dtype.kind == "U":
+            table[name] = np.char.encode(np.asarray(table[name]), "ascii", "backslashreplace")
 
 
 def _write_head(answer: dict[str, Any]) -> str:
@@ -165,18 +171,13 @@ def _encode_texts(values: NDArray[Any]) -> NDArray[Any]:
     return encoded.astype(h5py.string_dtype("utf-8", encoded.dtype.itemsize))
 
 
-def _make_columns(answer: dict[str, Any]) -> dict[str, NDArray[Any]]:
-    rows = rows_of(answer)
-    return {name: column.convert([row[name] for row in rows]) for name, column in COLUMNS.items()}
-
-
 def _make_table(answer: dict[str, Any]) -> Table:
     from astropy.table import Column, Table
 
     return Table(
         [
             Column(values, name, description=COLUMNS[name].description, unit=COLUMNS[name].unit or None)
-            for name, values in _make_columns(answer).items()
+            for name, values in make_columns(answer).items()
         ]
     )
 

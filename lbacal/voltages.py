@@ -13,6 +13,7 @@ from lbacal_core.grids import Floats
 if TYPE_CHECKING:
     from astropy.table import QTable
 
+    from lbacal_core.curves.covariance import Budget
     from lbacal_core.curves.curves import CalibrationCurve
     from lbacal_core.traces.voltage import CalibratedTrace
 
@@ -29,12 +30,18 @@ def calibrate_trace(samples: Floats, sample_rate_mhz: float, effective: QTable) 
     effective
         The answer of `lbacal.effective` for the one path that recorded the trace.
     """
-    from lbacal_core.curves.covariance import parse_budget
     from lbacal_core.traces.voltage import calibrate_trace as calibrate
 
     curve = curve_of(effective)
-    named = None if curve.covariance is None else effective.meta["budgets"].get(curve.covariance.budget)
-    return calibrate(samples, sample_rate_mhz, curve, None if named is None else parse_budget(named))
+    return calibrate(samples, sample_rate_mhz, curve, budget_of(effective, curve))
+
+
+def budget_of(effective: QTable, curve: CalibrationCurve) -> Budget | None:
+    """The systematic terms that the curve's covariance names, from the meta of its table."""
+    from lbacal_core.curves.covariance import parse_budget
+
+    named = None if curve.covariance is None else effective.meta.get("budgets", {}).get(curve.covariance.budget)
+    return None if named is None else parse_budget(named)
 
 
 def curve_of(effective: QTable) -> CalibrationCurve:

@@ -11,10 +11,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from lbacal.files import written_beside
 from lbacal.pages.tables import align
+from lbacal.tables import escape_texts
 from lbacal_core.errors import BadInputError
 
 if TYPE_CHECKING:
@@ -116,11 +115,10 @@ class Result:
         path.write_text(page, encoding="utf-8")
 
     def _write_table(self, path: Path, kind: str) -> None:
-        """Write the numbers. FITS and HDF5 hold ASCII: other characters are written as escapes."""
+        """Write the numbers."""
         table = self.table.copy()
-        for name in table.colnames if kind in ("fits", "hdf5") else ():
-            if table[name].dtype.kind == "U":
-                table[name] = np.char.encode(np.asarray(table[name]), "ascii", "backslashreplace")
+        if kind in ("fits", "hdf5"):
+            escape_texts(table)
         table.write(path, format=kind, **({"path": "table", "serialize_meta": True} if kind == "hdf5" else {}))
 
     def __repr__(self) -> str:
