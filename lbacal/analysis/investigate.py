@@ -17,14 +17,13 @@ from lbacal.analysis.instrument import Described, simulation_of
 from lbacal.analysis.result import Result
 from lbacal.chain import convert_number
 from lbacal.pages.curve import draw_change, draw_curve, draw_curve_page, draw_ranking
-from lbacal.pages.investigation import draw_page, draw_scores, draw_value, draw_value_on
+from lbacal.pages.investigation import draw_page, draw_scores, draw_value
 from lbacal.with_model import Extended, read_model
 from lbacal_core.audit.audit import audit_quickly
 from lbacal_core.data.lofar import SUPERTERP
 from lbacal_core.discovery.curve_search import describe_curve, investigate_curve
-from lbacal_core.discovery.left_open import FoundValue, add_left_open, find_value
+from lbacal_core.discovery.left_open import add_left_open, find_value
 from lbacal_core.discovery.report import investigate as investigate_spectra
-from lbacal_core.discovery.search import StationReport
 from lbacal_core.errors import BadInputError, write_chance
 from lbacal_core.lstcurve.curve import BAND_MHZ, LstCurve, read_lst_curve
 from lbacal_core.provenance import Provenance
@@ -141,18 +140,12 @@ def investigate(
     content["provenance"]["notes"]["audit"] = audited.sentence
     content = add_left_open(content, stations)
 
-    def value_of(finding: Mapping[str, Any]) -> tuple[StationReport, FoundValue]:
+    def draw_finding(finding: Mapping[str, Any], axes: Any = None) -> Figure:
         report = next(one for one in stations if one.station.name == finding["where"]["station"])
-        return report, find_value(report, finding)
+        return draw_value(report, find_value(report, finding), axes)
 
-    figures = Figures(
-        draw=partial(draw_scores, stations[0]),
-        draw_on=partial(draw_scores, stations[0]),
-        page=partial(draw_page, content, stations),
-        draw_finding=lambda finding: draw_value(*value_of(finding)),
-        draw_finding_on=lambda finding, axes: draw_value_on(axes, *value_of(finding)),
-    )
-    return _make(measured.origin, content, simulation, figures)
+    draw, page = partial(draw_scores, stations[0]), partial(draw_page, content, stations)
+    return _make(measured.origin, content, simulation, Figures(draw, draw, page, draw_finding))
 
 
 def _investigate_curve(curve: LstCurve, simulation: Simulation, band_mhz: tuple[float, float]) -> Investigation:
@@ -165,8 +158,7 @@ def _investigate_curve(curve: LstCurve, simulation: Simulation, band_mhz: tuple[
         draw=partial(draw_curve, found, curve.origin),
         draw_on=partial(draw_ranking, found),
         page=partial(draw_curve_page, content, found),
-        draw_finding=lambda _: draw_change(found),
-        draw_finding_on=lambda _, axes: draw_ranking(found, axes),
+        draw_finding=lambda _, axes=None: draw_change(found) if axes is None else draw_ranking(found, axes),
     )
     return _make(curve.origin, content, simulation, figures)
 
@@ -177,8 +169,7 @@ class Figures(NamedTuple):
     draw: Callable[[], Figure]
     draw_on: Callable[[Any], object]
     page: Callable[[], str]
-    draw_finding: Callable[[Mapping[str, Any]], Figure]
-    draw_finding_on: Callable[[Mapping[str, Any], Any], object]
+    draw_finding: Callable[..., Figure]
 
 
 def _make(source: str, content: dict[str, Any], simulation: Simulation, figures: Figures) -> Investigation:
@@ -189,7 +180,7 @@ def _make(source: str, content: dict[str, Any], simulation: Simulation, figures:
             told=list(_tell_finding(one)),
             notes=[one["sentence"]],
             draw=partial(figures.draw_finding, one),
-            draw_on=partial(figures.draw_finding_on, one),
+            draw_on=partial(figures.draw_finding, one),
             as_dict=partial(dict, one),
             report=content,
             simulation=simulation,

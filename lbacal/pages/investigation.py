@@ -77,19 +77,29 @@ def draw_residual_maps(report: StationReport, target: Target | None, axes: Seque
     return figure
 
 
-def draw_finding(report: StationReport, finding: Finding) -> Figure:
-    """The finding's signature at its size beside the residual that it explains, along its main axis and in frequency.
+def draw_value(report: StationReport, value: FoundValue, on: Any = None) -> Figure:
+    """What was found in a station: a cause along time or sidereal time, or an antenna against the others.
 
-    The signature is close to one profile of the events times one of the channels: each panel shows the residual
-    projected on the other profile.
+    What matters most of it is drawn on axes, if they are given.
     """
-    figure = Figure(figsize=(9.5, 3.4), layout="constrained")
-    _draw_profiles(report, finding, figure.subplots(1, 2))
+    if on is None:
+        figure = Figure(figsize=(9.5, 3.4), layout="constrained")
+        panels: Any = figure.subplots(1, 1 + isinstance(value, Finding), squeeze=False)[0]
+    else:
+        figure, panels = on.figure, [on]
+    if isinstance(value, Finding):
+        _draw_profiles(report, value, panels)
+    else:
+        _draw_antenna(panels[0], value, report.station.conditions.frequency_mhz)
     return figure
 
 
 def _draw_profiles(report: StationReport, finding: Finding, panels: Any) -> None:
-    """The same on one or two axes: along the main axis, and in frequency."""
+    """A signature at its size beside the residual that it explains, along its main axis and, on two axes, in frequency.
+
+    The signature is close to one profile of the events times one of the channels: each panel shows the residual
+    projected on the other profile.
+    """
     conditions, one = report.station.conditions, finding.hypothesis
     expected, axis = _expected(report, finding), axes_of(report, finding)[0]
     observed = _shown(report.first.baseline.residual, report, one.target)
@@ -116,23 +126,6 @@ def _draw_profiles(report: StationReport, finding: Finding, panels: Any) -> None
     panels[1].plot(frequency, 100 * across @ expected, color=RED)
     panels[1].set_xlabel("frequency (MHz)")
     panels[1].set_ylabel("relative power along that profile (%)")
-
-
-def draw_value(report: StationReport, value: FoundValue) -> Figure:
-    """What was found in a station: a cause along time or sidereal time, or an antenna against the others."""
-    if isinstance(value, Finding):
-        return draw_finding(report, value)
-    figure = Figure(figsize=(9.5, 3.4), layout="constrained")
-    _draw_antenna(figure.subplots(), value, report.station.conditions.frequency_mhz)
-    return figure
-
-
-def draw_value_on(axes: Any, report: StationReport, value: FoundValue) -> None:
-    """The same on one pair of axes."""
-    if isinstance(value, Finding):
-        _draw_profiles(report, value, [axes])
-    else:
-        _draw_antenna(axes, value, report.station.conditions.frequency_mhz)
 
 
 def _draw_antenna(axes: Any, score: AntennaScore, frequency_mhz: Floats) -> None:
@@ -307,7 +300,7 @@ def _finding(report: StationReport, finding: Finding, *, is_named: bool) -> dict
         "cause": one.cause.identifier,
         "target": one.target.label,
         "is_named": is_named,
-        "figure": embed(draw_finding(report, finding)),
+        "figure": embed(draw_value(report, finding)),
         "maps": embed(draw_residual_maps(report, one.target, axes)),
         "calibration": embed(draw_calibration_change(report, finding)),
         "size": f"{one.size:.4g} ± {one.uncertainty:.2g} {one.cause.unit}",

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from lbacal.pages.curve import draw_curve
-from lbacal.pages.investigation import axes_of, draw_finding, draw_residual_maps
+from lbacal.pages.investigation import axes_of, draw_residual_maps, draw_value
 from lbacal.pages.report import embed, fill_report
 from lbacal_core.calibration.budget import add_budget, compute_budget
 from lbacal_core.calibration.fit import fit_calibration
@@ -174,7 +174,7 @@ def render_report(shown: Demonstration, served: ServedRun | None = None) -> str:
     }
     if shown.of_station.findings:
         finding = shown.of_station.findings[0]
-        figures["finding"] = draw_finding(shown.of_station, finding)
+        figures["finding"] = draw_value(shown.of_station, finding)
         axes = axes_of(shown.of_station, finding)[:2]
         figures["maps"] = draw_residual_maps(shown.of_station, finding.hypothesis.target, axes)
     if served is not None:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from lbacal.pages.curve import draw_change, draw_curve, draw_ranking
-from lbacal.pages.investigation import draw_finding, draw_residual_maps, draw_structure
+from lbacal.pages.investigation import draw_residual_maps, draw_structure, draw_value
 from lbacal_core.causes.axes import axis_named
 from lbacal_core.discovery.report import investigate
 from lbacal_core.discovery.search import StationReport
@@ -57,7 +57,7 @@ def main() -> None:
     if SHARED.is_dir():
         draw_measured()
     spoiled = ask([IonosphericAbsorption(size=0.02), STEP])
-    figures = {one.hypothesis.cause.identifier: draw_finding(spoiled, one) for one in spoiled.findings}
+    figures = {one.hypothesis.cause.identifier: draw_value(spoiled, one) for one in spoiled.findings}
     figures["maps"] = draw_residual_maps(spoiled, spoiled.findings[0].hypothesis.target, [axis_named("date")])
     odd = ask([WorkingWeek(size=0.05)])
     if odd.structure is not None:
