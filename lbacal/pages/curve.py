@@ -73,9 +73,7 @@ def draw_ranking(found: CurveInvestigation, on: Any = None) -> Figure:
     for words, colour in (("named", COLOURS["X"]), ("not excluded", "#d99a2b"), ("excluded", GREY)):
         axes.barh([0], [0], color=colour, label=words)
     axes.set_yticks(range(len(shown)), [" + ".join(name_hypothesis(fit)) for fit in shown], fontsize=7.5)
-    axes.set_xscale("log")
-    axes.set_xlim(right=6 * before)
-    axes.set_xlabel("chi² per point, estimated noise")
+    axes.set(xscale="log", xlim=(None, 6 * before), xlabel="chi² per point, estimated noise")
     axes.legend(fontsize=8, frameon=False, loc="lower right")
     figure: Figure = axes.figure
     return figure

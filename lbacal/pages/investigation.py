@@ -47,8 +47,10 @@ def draw_scores(report: StationReport, on: Any = None) -> Figure:
     axes.set_ylim(-0.7, len(scores) - 0.3)
     for k, score in zip(rows, scores, strict=True):
         axes.text(abs(score.z), k, f"  {score.target.label}, p = {score.p_value:.2g}", va="center", fontsize=7)
-    axes.set_xlabel("best score over all its templates and targets (standard deviations)")
-    axes.set_xlim(0, 1.35 * max(*(abs(score.z) for score in scores), 4.0))
+    axes.set(
+        xlabel="best score over all its templates and targets (standard deviations)",
+        xlim=(0, 1.35 * max(*(abs(score.z) for score in scores), 4.0)),
+    )
     axes.tick_params(axis="y", labelsize=8)
     figure: Figure = axes.figure
     return figure
@@ -113,8 +115,7 @@ def _draw_profiles(report: StationReport, finding: Finding, panels: Any) -> None
     mean, error = _bins(values, observed @ along)
     panels[0].errorbar(_centres(values), 100 * mean, 100 * error, label="residual before", **POINTS)
     panels[0].plot(_centres(values), 100 * _bins(values, expected @ along)[0], color=RED, label=one.cause.identifier)
-    panels[0].set_xlabel(label)
-    panels[0].set_ylabel("relative power, mean over channels (%)")
+    panels[0].set(xlabel=label, ylabel="relative power, mean over channels (%)")
     for panel in panels:
         panel.axhline(0, color="#bbb", lw=0.8)
     panels[0].legend(fontsize=8, frameon=False)
@@ -124,8 +125,7 @@ def _draw_profiles(report: StationReport, finding: Finding, panels: Any) -> None
     scatter = 100 * np.std(observed - expected, axis=0) / np.sqrt(events)
     panels[1].errorbar(frequency, 100 * across @ observed, scatter, **POINTS)
     panels[1].plot(frequency, 100 * across @ expected, color=RED)
-    panels[1].set_xlabel("frequency (MHz)")
-    panels[1].set_ylabel("relative power along that profile (%)")
+    panels[1].set(xlabel="frequency (MHz)", ylabel="relative power along that profile (%)")
 
 
 def _draw_antenna(axes: Any, score: AntennaScore, frequency_mhz: Floats) -> None:
@@ -138,8 +138,7 @@ def _draw_antenna(axes: Any, score: AntennaScore, frequency_mhz: Floats) -> None
     shape = score.size * (score.departure - score.departure.mean())
     axes.plot(fine, 100 * CubicSpline(frequency_mhz, shape)(fine), color=RED, label=score.cause.identifier)
     axes.axhline(0, color="#bbb", lw=0.8)
-    axes.set_xlabel("frequency (MHz)")
-    axes.set_ylabel("gain in front of the receiver (%)")
+    axes.set(xlabel="frequency (MHz)", ylabel="gain in front of the receiver (%)")
     axes.legend(fontsize=8, frameon=False)
 
 
@@ -164,12 +163,10 @@ def draw_structure(report: StationReport, structure: ResidualStructure) -> Figur
     panels[0].errorbar(_centres(values), 100 * mean, 100 * error, label="residual structure", **POINTS)
     order = np.argsort(values)
     panels[0].plot(values[order], 100 * (smooth @ along)[order], color=RED, lw=1, label="smooth along the axis")
-    panels[0].set_xlabel(label)
-    panels[0].set_ylabel("relative power, in its channels (%)")
+    panels[0].set(xlabel=label, ylabel="relative power, in its channels (%)")
     panels[0].legend(fontsize=8, frameon=False)
     panels[1].plot(report.station.conditions.frequency_mhz, along * along.size, color=RED)
-    panels[1].set_xlabel("frequency (MHz)")
-    panels[1].set_ylabel("spectrum (rms 1)")
+    panels[1].set(xlabel="frequency (MHz)", ylabel="spectrum (rms 1)")
     if structure.amounts:
         # A path that died early is compared with the others and has no amount.
         amounts = np.array([structure.amounts.get(label, (np.nan, np.nan)) for label in labels])
@@ -177,8 +174,7 @@ def draw_structure(report: StationReport, structure: ResidualStructure) -> Figur
             own = report.station.dipole == dipole
             drawn = {"fmt": "o", "ms": 4, "lw": 1, "label": str(dipole)}
             panels[2].errorbar(report.station.antenna[own], amounts[own, 0], amounts[own, 1], **drawn)
-        panels[2].set_xlabel("antenna")
-        panels[2].set_ylabel(f"amount, of that in {structure.target}")
+        panels[2].set(xlabel="antenna", ylabel=f"amount, of that in {structure.target}")
         panels[2].legend(fontsize=8, frameon=False)
     for panel in panels:
         panel.axhline(0, color="#bbb", lw=0.8)
@@ -223,8 +219,7 @@ def draw_calibration_change(report: StationReport, finding: Finding) -> Figure:
     axes.fill_between(frequency, low, high, color=RED, alpha=0.25, lw=0, label="68 % of the target's paths")
     axes.plot(frequency, middle, color=RED, label="median")
     axes.axhline(0, color="#bbb", lw=0.8)
-    axes.set_xlabel("frequency (MHz)")
-    axes.set_ylabel("change of C (%)")
+    axes.set(xlabel="frequency (MHz)", ylabel="change of C (%)")
     axes.legend(fontsize=8, frameon=False)
     return figure
 
