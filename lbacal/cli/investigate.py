@@ -55,13 +55,13 @@ def investigate(
     """
     selection = parse_selection(since, until, year, station)
     if stored:
-        from lbacal.cli.stored import Wanted, investigate_stored
+        from lbacal.cli.stored import investigate_stored
 
         if spectra or lst_curve is not None or with_ is not None:
             raise typer.BadParameter(
                 "--stored names spectra and model: no file, no --lst-curve and no --with beside it"
             )
-        investigate_stored(Wanted.of(selection, reason), report)
+        investigate_stored(selection, reason, report)
         return
     if report is None:
         raise typer.BadParameter("name the report to write with --report")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,37 +10,23 @@ import typer
 
 from lbacal.client import Client
 from lbacal.files import written_beside
-from lbacal.instants import format_instant
+from lbacal.instants import format_optional
 from lbacal.selection import Selection
 from lbacal_core.errors import BadInputError
 
 
-@dataclass(frozen=True)
-class Wanted:
-    """The window of stored spectra, and why it is investigated."""
-
-    since: str | None
-    until: str | None
-    station: str | None
-    reason: str | None
-
-    @classmethod
-    def of(cls, selection: Selection, reason: str | None) -> Wanted:
-        """What the options of the command select."""
-        if len(selection.stations) > 1:
-            raise BadInputError("--station", "one beside --stored, or none for all", ", ".join(selection.stations))
-        since, until = (None if at is None else format_instant(at) for at in (selection.since, selection.until))
-        return cls(since, until, selection.stations[0] if selection.stations else None, reason)
-
-
-def investigate_stored(wanted: Wanted, report: Path | None) -> None:
+def investigate_stored(selection: Selection, reason: str | None, report: Path | None) -> None:
     """Ask the server for investigations, one a station and calendar year, wait for them and print what they found."""
-    body = {"since": wanted.since, "until": wanted.until, "reason": wanted.reason}
+    if len(selection.stations) > 1:
+        raise BadInputError("--station", "one beside --stored, or none for all", ", ".join(selection.stations))
+    since, until = format_optional(selection.since), format_optional(selection.until)
+    body = {"since": since, "until": until, "reason": reason}
     for name, value in body.items():
         if value is None:
             raise BadInputError(f"--{name}", "a value beside --stored", "nothing")
     with Client() as client:
-        job = client.wait_for(client.send("POST", "/v1/investigations", {**body, "station": wanted.station})["job"])
+        asked = {**body, "station": next(iter(selection.stations), None)}
+        job = client.wait_for(client.send("POST", "/v1/investigations", asked)["job"])
         found = [client.get(f"/v1/investigations/{name}") for name in job["results"]]
     if report is not None and len(found) != 1:
         raise BadInputError("--report", "one station and one calendar year, which make one report", str(len(found)))
