@@ -95,29 +95,19 @@ class Transport:
                     method, path, params=given, json=body, content=file, headers=headers, **more
                 )
             except httpx2.TransportError as error:
-                problem = _nobody(self.url, str(error) or type(error).__name__)
+                reason = str(error) or type(error).__name__
+                advice = "start `lbacal serve` there, or set LBACAL_URL"
+                problem = UnreachableError(f"nobody answers at {self.url} ({reason}): {advice}")
                 continue
+            if answer.is_success:
+                return answer
+            code, detail = _problem(answer)
             if answer.status_code not in AWAY:
-                return _accept(answer)
-            problem = _busy(self.url, answer)
+                raise RefusedError(answer.status_code, code, detail)
+            # the server is there: nothing is wrong with its address
+            problem = UnreachableError(f"the server at {self.url} cannot answer now ({detail}): ask again later")
             pause = max(pause, float(answer.headers.get("retry-after", "0") or 0))
         raise problem
-
-
-def _nobody(url: str, reason: str) -> UnreachableError:
-    return UnreachableError(f"nobody answers at {url} ({reason}): start `lbacal serve` there, or set LBACAL_URL")
-
-
-def _busy(url: str, answer: httpx2.Response) -> UnreachableError:
-    """The server is there and cannot answer now: nothing is wrong with its address."""
-    return UnreachableError(f"the server at {url} cannot answer now ({_problem(answer)[1]}): ask again later")
-
-
-def _accept(answer: httpx2.Response) -> httpx2.Response:
-    if answer.is_success:
-        return answer
-    code, detail = _problem(answer)
-    raise RefusedError(answer.status_code, code, detail)
 
 
 def _problem(answer: httpx2.Response) -> tuple[str, str]:
