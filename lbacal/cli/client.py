@@ -112,17 +112,9 @@ def refit(
     """
     with Client() as client:
         job = client.refit(
-            scope,
-            since,
-            until,
-            reason=reason,
-            station=station,
-            antenna=antenna,
-            dipole=dipole,
-            promote=promote,
-            wait=wait,
-            fit=fit,
-        )
+            scope, since, until, reason=reason, station=station, antenna=antenna, dipole=dipole, promote=promote,
+            wait=wait, fit=fit,
+        )  # fmt: skip
     print_job(job, most=SHOWN)
     if job["state"] == "failed":
         raise typer.Exit(1)

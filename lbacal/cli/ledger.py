@@ -39,13 +39,12 @@ def promote(
         raise BadInputError("--job", "no --from or --to beside it", "one of them")
     with Client() as client:
         if job is not None:
-            done = client.send("POST", f"/v1/jobs/{job}/promotion", {"reason": reason}, dry_run=dry_run or None)
+            path, body = f"/v1/jobs/{job}/promotion", {"reason": reason}
         else:
-            version = client.get(f"/v1/calibrations/{calibration}")
+            version, path = client.get(f"/v1/calibrations/{calibration}"), "/v1/promotions"
             interval = {"valid_from": start or version["since"], "valid_to": end or version["until"]}
             body = {"calibration": version["id"], "reason": reason, **_closed(interval)}
-            done = client.send("POST", "/v1/promotions", body, dry_run=dry_run or None)
-    print_act(done, dry_run=dry_run)
+        _act(client, path, body, dry_run=dry_run)
 
 
 def withdraw(
@@ -65,8 +64,7 @@ def withdraw(
     of = {"scope": scope, "station": station, "antenna": antenna, "dipole": dipole}
     body = {"calibration": None, "reason": reason, **of, **_closed({"valid_from": start, "valid_to": end})}
     with Client() as client:
-        done = client.send("POST", "/v1/promotions", body, dry_run=dry_run or None)
-    print_act(done, dry_run=dry_run)
+        _act(client, "/v1/promotions", body, dry_run=dry_run)
 
 
 def rollback(
@@ -79,9 +77,7 @@ def rollback(
     Example: lbacal rollback 4711 --reason "the cable table was wrong" --dry-run
     """
     with Client() as client:
-        path = f"/v1/promotions/{promotion}/rollback"
-        done = client.send("POST", path, {"reason": reason}, dry_run=dry_run or None)
-    print_act(done, dry_run=dry_run)
+        _act(client, f"/v1/promotions/{promotion}/rollback", {"reason": reason}, dry_run=dry_run)
 
 
 def tag(
@@ -102,6 +98,10 @@ def tag(
             tags = [client.send("PUT", f"/v1/tags/{name}", {"as_of": as_of, "reason": reason})]
     for one in tags:
         print(f"{one['name']}: as of {one['as_of']}, by {one['by']}: {one['reason']}")
+
+
+def _act(client: Client, path: str, body: dict[str, Any], *, dry_run: bool) -> None:
+    print_act(client.send("POST", path, body, dry_run=dry_run or None), dry_run=dry_run)
 
 
 def _closed(interval: dict[str, Any]) -> dict[str, Any]:
