@@ -26,7 +26,7 @@ MICROSECONDS = 1e6
 UNIX_EPOCH_JD, DAY_S = 2440587.5, 86_400.0
 
 
-def write_uvcal(content: Mapping[str, Any], instrument: Instrument, path: Path, station: str | None = None) -> None:
+def write_uvcal(content: Mapping[str, Any], instrument: Instrument, path: Path) -> None:
     """Write the C of one station's paths as UVCal gains, by pyuvdata: `.calfits`, else `.calh5`.
 
     Gains multiply (gain_convention); calibrated visibilities are in V^2. quality_array is sigma(C)/C; channels without
@@ -38,7 +38,7 @@ def write_uvcal(content: Mapping[str, Any], instrument: Instrument, path: Path, 
         from pyuvdata import Telescope, UVCal
     except ImportError as error:
         raise MissingExtraError("writing UVCal", "import") from error
-    curves, name = _of_one_station(content, station)
+    curves, name = _of_one_station(content)
     feeds = _feeds_of(instrument)
     antennas = sorted({curve["antenna"] for curve in curves})
     letters = [letter for letter in feeds if any(curve["dipole"] == letter for curve in curves)]
@@ -99,13 +99,13 @@ def _feeds_of(instrument: Instrument) -> dict[str, str]:
     return {arm: arm for arm in arms} if set(arms) <= JONES.keys() else dict(zip(arms, JONES, strict=False))
 
 
-def write_station_table(content: Mapping[str, Any], path: Path, station: str | None = None) -> None:
+def write_station_table(content: Mapping[str, Any], path: Path) -> None:
     """Write the C of one station's paths as a calibration table of a LOFAR 2.0 station.
 
     A group an antenna holds the complex gains `x` and `y` of its 512 sub-bands. A station multiplies its sub-bands by
     them in fixed point, so they are C over its mean, `lbacal_unit_v`; outside the band they are 1.
     """
-    curves, name = _of_one_station(content, station)
+    curves, name = _of_one_station(content)
     if not {curve["dipole"] for curve in curves} <= JONES.keys():
         raise BadInputError("dipole", "X and Y for a station table", ", ".join({str(c["dipole"]) for c in curves}))
     at = _require_at(content)
@@ -125,22 +125,17 @@ def write_station_table(content: Mapping[str, Any], path: Path, station: str | N
             root.require_group(f"LBA{curve['antenna']:02d}")[str(curve["dipole"]).lower()] = value.astype(complex)
 
 
-def _of_one_station(content: Mapping[str, Any], station: str | None) -> tuple[list[dict[str, Any]], str]:
+def _of_one_station(content: Mapping[str, Any]) -> tuple[list[dict[str, Any]], str]:
     """The curves of single paths of one station, on the same channels."""
-    found = sorted({curve["station"] for curve in content["curves"] if curve["antenna"] is not None})
-    if station is None and len(found) != 1:
-        raise (
-            BadInputError("--station", f"one of {', '.join(found)}", "none")
-            if found
-            else BadInputError("curves", "curves of single paths: a reference chain is nobody's antenna", "none")
-        )
-    name = str(found[0] if station is None else station)
-    if name not in found:
-        raise BadInputError("--station", f"one of {', '.join(found)}", name)
-    curves = [one for one in content["curves"] if one["station"] == name and one["antenna"] is not None]
+    curves = [curve for curve in content["curves"] if curve["antenna"] is not None]
+    if not curves:
+        raise BadInputError("curves", "curves of single paths: a reference chain is nobody's antenna", "none")
+    names = sorted({curve["station"] for curve in curves})
+    if len(names) != 1:
+        raise BadInputError("--station", f"one of {', '.join(names)}", "none")
     if any(curve["frequency_mhz"] != curves[0]["frequency_mhz"] for curve in curves):
         raise BadInputError("frequency_mhz", "the same channels in every curve", "others")
-    return curves, name
+    return curves, str(names[0])
 
 
 def _values(numbers: list[float | None]) -> Floats:
