@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -174,32 +177,19 @@ def _describe(name: str, records: list[dict[str, Any]], longitude: float, is_old
     return words + (f", {', '.join(faults)}" if faults else "") + (" (done before)" if is_old else "")
 
 
-class _progress:  # noqa: N801  (reads as a function where it is used)
+@contextmanager
+def _progress(steps: int) -> Iterator[Callable[[str], None]]:
     """A progress bar on a terminal, one line a step elsewhere."""
+    from rich.console import Console
+    from rich.progress import Progress
 
-    def __init__(self, steps: int) -> None:
-        from rich.console import Console
-        from rich.progress import Progress
-
-        console = Console()
-        self.bar = Progress(console=console) if console.is_terminal else None
-        self.steps = steps
-
-    def __enter__(self) -> Any:
-        if self.bar is None:
-            return lambda line: print(line, flush=True)
-        bar = self.bar
-        bar.start()
-        task = bar.add_task("station events", total=self.steps)
-
-        def say(line: str) -> None:
-            bar.update(task, advance=1, description=line[:60])
-
-        return say
-
-    def __exit__(self, *_: object) -> None:
-        if self.bar is not None:
-            self.bar.stop()
+    console = Console()
+    if not console.is_terminal:
+        yield partial(print, flush=True)
+        return
+    with Progress(console=console) as bar:
+        task = bar.add_task("station events", total=steps)
+        yield lambda line: bar.update(task, advance=1, description=line[:60])
 
 
 def _draw(item: Any, settings: Any, path: Path) -> None:

@@ -45,11 +45,8 @@ class TraceBatch:
                 yield item[0], json.loads(part.read_text()), True
             else:
                 waiting.append(item)
-        results = (
-            _run_here(waiting, self.settings)
-            if dask_address is None
-            else _run_on_dask(waiting, self.settings, dask_address)
-        )
+        here = ((item, reduce_station_event(item, self.settings)) for item in waiting)
+        results = here if dask_address is None else _run_on_dask(waiting, self.settings, dask_address)
         for item, result in results:
             if not isinstance(result, str):
                 self._keep(item, result)
@@ -85,11 +82,6 @@ def reduce_station_event(item: Work, settings: CleaningSettings) -> list[dict[st
     except (LbacalError, OSError) as error:
         return str(error)
     return [record_background(event, background, settings) for background in backgrounds]
-
-
-def _run_here(work: Sequence[Work], settings: CleaningSettings) -> Iterator[tuple[Work, list[dict[str, Any]] | str]]:
-    for item in work:
-        yield item, reduce_station_event(item, settings)
 
 
 def _run_on_dask(
