@@ -169,7 +169,11 @@ class Cache:
                     for antenna in station["antennas"] or [None]
                     for dipole in (station.get("dipoles", ["X", "Y"]) if name else [None])
                 ]
-        curves, missing = ([one for one in listed if _is_meant(one, asked)] for listed in (curves, missing))
+        curves, missing = (
+            [one for one in listed
+             if asked.antenna in (None, one["antenna"]) and asked.dipole in (None, one["dipole"])]
+            for listed in (curves, missing)
+        )  # fmt: skip
         if not curves:
             sentence = f"no calibration is in effect for {asked.name} at {format_instant(asked.at)} in {snapshot.tag}"
             raise RefusedError(NOT_FOUND, "not_in_effect", sentence)
@@ -274,11 +278,6 @@ def _select_stations(snapshot: Snapshot, asked: Question) -> Sequence[str]:
     if asked.antenna is not None and asked.antenna not in snapshot.stations[asked.station]["antennas"]:
         raise BadInputError("antenna", f"an antenna of {asked.station}", str(asked.antenna))
     return [asked.station]
-
-
-def _is_meant(path: Mapping[str, Any], asked: Question) -> bool:
-    is_antenna = asked.antenna in (None, path["antenna"])
-    return is_antenna and asked.dipole in (None, path["dipole"])
 
 
 def _at(edges: Sequence[tuple[str, str | None]], at: Instant) -> str | None:

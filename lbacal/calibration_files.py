@@ -72,7 +72,7 @@ def read_calibrations(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise BadInputError(str(path), "a file", "a folder" if path.is_dir() else "nothing")
     if kind == ".json":
-        return _read_json(path)
+        return complete_curves(_parse(path, path.read_bytes()), path)
     columns, head = {".ecsv": _read_ecsv, ".fits": _read_fits}.get(kind, _read_hdf5)(path)
     missing = [name for name in REQUIRED if name not in columns]
     if missing:
@@ -80,10 +80,6 @@ def read_calibrations(path: Path) -> dict[str, Any]:
     if head is None:
         raise BadInputError(f"{path}: {KEY}", f"the head of {FORMAT}, JSON text", "none")
     return _join(path, columns, _parse(path, head))
-
-
-def _read_json(path: Path) -> dict[str, Any]:
-    return complete_curves(_parse(path, path.read_bytes()), path)
 
 
 def complete_curves(content: Mapping[str, Any], path: Path) -> dict[str, Any]:
@@ -156,12 +152,10 @@ def _unescape(values: Any) -> Any:
 def _read_hdf5(path: Path) -> tuple[dict[str, Any], str | None]:
     try:
         with h5py.File(path, "r") as root:
-            found = {name: open_dataset(root, name, _KINDS[COLUMNS[name].kind], f"{path}: {name}")
-                     for name in COLUMNS if name in root}  # fmt: skip
-            columns = {
-                name: read_values(dataset, _KINDS[COLUMNS[name].kind], f"{path}: {name}")
-                for name, dataset in found.items()
-            }
+            columns = {}
+            for name in (name for name in COLUMNS if name in root):
+                kind, place = _KINDS[COLUMNS[name].kind], f"{path}: {name}"
+                columns[name] = read_values(open_dataset(root, name, kind, place), kind, place)
             head = root.attrs.get(KEY)
             return columns, None if head is None else read_text(head, f"{path}: {KEY}")
     except OSError as error:

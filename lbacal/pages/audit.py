@@ -29,7 +29,8 @@ def draw_page(report: AuditReport, source: str) -> str:
 
 def draw_stations(stations: Sequence[AuditedStation]) -> Figure:
     """Departure of every path from the median of its polarisation and cable name, and band power against LST."""
-    shown = [(station, is_sky) for station in stations for is_sky in (False, True)[: 1 + _has_sky(station)]]
+    shown = [(station, is_sky) for station in stations for is_sky in (False, True)
+             if not is_sky or station.hours >= SHORTEST_HOURS]  # fmt: skip
     columns = max(len(station.dipoles) for station in stations)
     figure = Figure(figsize=(5 * columns, 3.75 * len(shown)), layout="constrained")
     rows: Any = figure.subplots(len(shown), columns, squeeze=False, sharey="row")
@@ -41,10 +42,6 @@ def draw_stations(stations: Sequence[AuditedStation]) -> Figure:
             images = [draw_departures(axes[column], station, column) for column in range(len(station.dipoles))]
             figure.colorbar(images[0], ax=axes, label="power over the median of the cable name (dB)")
     return figure
-
-
-def _has_sky(station: AuditedStation) -> bool:
-    return station.hours >= SHORTEST_HOURS
 
 
 def draw_departures(axes: Any, station: AuditedStation, column: int) -> Any:

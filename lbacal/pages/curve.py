@@ -31,8 +31,8 @@ def draw_curve(found: CurveInvestigation, title: str) -> Figure:
     for column, name in enumerate(COLOURS):
         top, below, colour = axes[0, column], axes[1, column], COLOURS[name]
         estimated, drawn = _errors(found, name)
-        measured = _combine(curve.variation_db, name)
-        top.errorbar(hours, measured, drawn, fmt="none", ecolor=GREY, lw=0.6, label=_bar_label(found, name))
+        measured, bars = _combine(curve.variation_db, name), f"bars as drawn; estimated {estimated:.3f} dB"
+        top.errorbar(hours, measured, drawn, fmt="none", ecolor=GREY, lw=0.6, label=bars)
         top.errorbar(hours, measured, estimated, fmt="o", ms=3, lw=1.3, color=colour, label=f"measured, {name}")
         for fit, style, words in ((found.first, "--", "before"), (found.last, "-", "after")):
             line = _smooth(_combine(fit.curve_db, name))
@@ -123,11 +123,6 @@ def _errors(found: CurveInvestigation, name: str) -> tuple[float, Floats]:
         return sigma[name], drawn
     shared = 2 * found.fitter.noise.correlation * sigma["X"] * sigma["Y"]
     return float(np.sqrt(sigma["X"] ** 2 + sigma["Y"] ** 2 - shared)), drawn * np.sqrt(2.0)
-
-
-def _bar_label(found: CurveInvestigation, name: str) -> str:
-    estimated, _ = _errors(found, name)
-    return f"bars as drawn; estimated {estimated:.3f} dB"
 
 
 def _smooth(values: Floats) -> Floats:
