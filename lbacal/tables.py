@@ -67,35 +67,33 @@ COLUMNS = {
 
 def write_format(name: str, answer: dict[str, Any]) -> bytes:
     """Write an answer to "in effect at" in one of the formats other than JSON."""
-    writers = {
-        "csv": write_csv,
-        "ecsv": write_ecsv,
-        "fits": write_fits,
-        "hdf5": write_hdf5,
-        "nuradio": write_nuradio,
-    }
+    writers = {"csv": write_csv, "ecsv": write_ecsv, "fits": write_fits, "hdf5": write_hdf5, "nuradio": write_nuradio}
     return writers[name](answer)
 
 
-def _values_of(answer: dict[str, Any]) -> dict[str, list[Any]]:
-    """The values of every column, one per path and frequency; an unknown error and an open end are None."""
-    columns: dict[str, list[Any]] = {name: [] for name in COLUMNS}
-    for curve in answer["curves"]:
-        told = curve | {"valid_from": curve["valid"]["from"], "valid_to": curve["valid"]["to"]}
-        for name, values in columns.items():
-            value = told.get(name)
-            values.extend(value if isinstance(value, list) else [value] * len(curve["c"]))
-    return columns
+def _values_of(curve: dict[str, Any]) -> dict[str, list[Any]]:
+    """The values of every column in a curve, one a frequency, or one for all; None where unknown or open."""
+    told = curve | {"valid_from": curve["valid"]["from"], "valid_to": curve["valid"]["to"]}
+    return {name: value if isinstance(value := told.get(name), list) else [value] for name in COLUMNS}
 
 
 def rows_of(answer: dict[str, Any]) -> list[dict[str, Any]]:
     """One row per path and frequency; an unknown error and an open end are None."""
-    return [dict(zip(COLUMNS, row, strict=True)) for row in zip(*_values_of(answer).values(), strict=True)]
+    rows = []
+    for curve in answer["curves"]:
+        size = len(curve["c"])
+        columns = (values if len(values) == size else values * size for values in _values_of(curve).values())
+        rows += [dict(zip(COLUMNS, row, strict=True)) for row in zip(*columns, strict=True)]
+    return rows
 
 
 def make_columns(answer: dict[str, Any]) -> dict[str, NDArray[Any]]:
-    """Every column as an array: numbers are NaN, texts empty where there is none."""
-    return {name: COLUMNS[name].convert(values) for name, values in _values_of(answer).items()}
+    """Every column as an array, one value per path and frequency: numbers are NaN, texts empty where there is none."""
+    columns = {name: [column.convert([])] for name, column in COLUMNS.items()}
+    for curve in answer["curves"]:
+        for name, values in _values_of(curve).items():
+            columns[name].append(np.broadcast_to(COLUMNS[name].convert(values), len(curve["c"])))
+    return {name: np.concatenate(parts) for name, parts in columns.items()}
 
 
 def write_csv(answer: dict[str, Any]) -> bytes:
