@@ -60,6 +60,12 @@ class CurveTable(QTable):  # type: ignore[misc] # astropy has no types
     (23.17 ± 0.2 (stat) ± 2.3 (syst)) µV
     """
 
+    def of_path(self, station: str | None, antenna: int | None, dipole: str | None) -> CurveTable:
+        """The rows of one path; None where a curve belongs to a station or the array."""
+        own = {"station": station or "", "antenna": -1 if antenna is None else antenna, "dipole": dipole or ""}
+        rows: CurveTable = self[np.all([self[name] == value for name, value in own.items()], axis=0)]
+        return rows
+
     def mean(self, low: Any, high: Any) -> CalibrationValue:
         """The mean of C over the channels of a band, interference left out, with the error by their covariance.
 
@@ -97,7 +103,7 @@ class CurveTable(QTable):  # type: ignore[misc] # astropy has no types
         axes = import_module("matplotlib.figure").Figure(layout="constrained").subplots() if ax is None else ax
         paths = list(dict.fromkeys((row["station"], row["antenna"], row["dipole"]) for row in self))
         for path in paths:
-            own = self[[(row["station"], row["antenna"], row["dipole"]) == path for row in self]]
+            own = self.of_path(*path)
             total = np.hypot(own["c_sigma_stat"], np.nan_to_num(own["c_sigma_sys"])).to_value(u.uV)
             label = " ".join(str(part) for part in path if part not in ("", -1))
             axes.errorbar(own["frequency_mhz"].value, own["c"].to_value(u.uV), total, fmt=".-", lw=1, label=label)

@@ -84,7 +84,7 @@ class EffectiveCalibrator:
             names = {name for name, _, _ in channels}
             found = {name: self._client.effective(name, at=station.get_station_time(), **self._known) for name in names}
             for path, channel in channels.items():
-                said[channel.get_id()] = self._calibrate(channel, _rows_of(found[path[0]], path))
+                said[channel.get_id()] = self._calibrate(channel, found[path[0]].of_path(*path))
         return said
 
     def _calibrate(self, channel: Any, rows: QTable) -> str:
@@ -98,8 +98,3 @@ class EffectiveCalibrator:
     def end(self) -> None:
         """Close the connection."""
         self._client.close()
-
-
-def _rows_of(table: QTable, path: Path) -> QTable:
-    station, antenna, dipole = path
-    return table[(table["station"] == station) & (table["antenna"] == antenna) & (table["dipole"] == dipole)]

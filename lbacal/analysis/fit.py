@@ -77,9 +77,7 @@ class Calibration(Result):
             if tuple(part for part in own if part is not None) == wanted:
                 if curve.c is None:
                     raise BadInputError(curve.name, "a curve that converged", curve.status)
-                named: dict[str, Any] = {"station": curve.station or "", "dipole": curve.dipole or ""}
-                named["antenna"] = -1 if curve.antenna is None else curve.antenna
-                rows: CurveTable = self.table[np.all([self.table[key] == one for key, one in named.items()], axis=0)]
+                rows: CurveTable = self.table.of_path(*own)
                 return rows
         names = [curve.name for curve in self.report.curves]
         raise UnknownNameError("curve", " ".join(str(part) for part in wanted), names[:SHOWN_NAMES])
