@@ -8,6 +8,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from lbacal.files import written_beside
 from lbacal_core.errors import LbacalError, MissingExtraError
 from lbacal_core.provenance import hash_content
 from lbacal_core.traces.assembly import record_background
@@ -49,7 +50,8 @@ class TraceBatch:
         results = here if dask_address is None else _run_on_dask(waiting, self.settings, dask_address)
         for item, result in results:
             if not isinstance(result, str):
-                self._keep(item, result)
+                with written_beside(self._part(item)) as beside:
+                    beside.write_text(json.dumps(result, allow_nan=False))
             yield item[0], result, False
 
     def _part(self, item: Work) -> Path:
@@ -66,12 +68,6 @@ class TraceBatch:
             "pulse_unix": pulse_unix,
         }
         return self.folder / f"{event.event_id}-{event.station}-{hash_content(identity)[:16]}.json"
-
-    def _keep(self, item: Work, records: list[dict[str, Any]]) -> None:
-        part = self._part(item)
-        unfinished = part.with_suffix(".unfinished")
-        unfinished.write_text(json.dumps(records, allow_nan=False))
-        unfinished.replace(part)
 
 
 def reduce_station_event(item: Work, settings: CleaningSettings) -> list[dict[str, Any]] | str:
