@@ -16,19 +16,8 @@ from lbacal_core.errors import BadInputError
 File = Annotated[Path, typer.Argument(help="Calibration file: .ecsv, .fits, .h5 or .json.")]
 
 
-class ExportFormat(StrEnum):
-    """What `export` writes."""
-
-    ecsv = "ecsv"
-    fits = "fits"
-    hdf5 = "hdf5"
-    csv = "csv"
-    json = "json"
-    nuradio = "nuradio"
-    uvcal = "uvcal"
-    lofar2 = "lofar2"
-
-
+ExportFormat = StrEnum("ExportFormat", ["ecsv", "fits", "hdf5", "csv", "json", "nuradio", "uvcal", "lofar2"])
+"""What `export` writes."""
 OF_OTHER_PROGRAMS = {".txt": "nuradio", ".calfits": "uvcal", ".calh5": "uvcal"}
 
 
@@ -81,6 +70,7 @@ def export(
     from lbacal.calibration_files import FORMATS, read_calibrations, write_calibrations
     from lbacal.exports import write_station_table, write_uvcal
     from lbacal.tables import mean_curve
+    from lbacal_core.instrument.instrument import load_instrument
 
     by_suffix = FORMATS | OF_OTHER_PROGRAMS
     chosen = kind or by_suffix.get(output.suffix.lower())
@@ -102,20 +92,14 @@ def export(
         raise BadInputError(str(source), "a curve of that station, antenna and dipole", "none")
     with written_beside(output) as beside:
         if chosen is ExportFormat.uvcal:
-            write_uvcal(content, _require_instrument(instrument), beside)
+            if instrument is None:
+                raise BadInputError("--instrument", "the instrument, for its place and its arms", "none")
+            write_uvcal(content, load_instrument(instrument), beside)
         elif chosen is ExportFormat.lofar2:
             write_station_table(content, beside)
         else:
             write_calibrations(mean_curve(content) if mean else content, beside, chosen.value)
     print(f"wrote {output}: {len(content['curves'])} curves as {chosen.value}")
-
-
-def _require_instrument(name: str | None) -> Any:
-    from lbacal_core.instrument.instrument import load_instrument
-
-    if name is None:
-        raise BadInputError("--instrument", "the instrument, for its place and its arms", "none")
-    return load_instrument(name)
 
 
 def _describe(content: dict[str, Any]) -> str:

@@ -24,16 +24,8 @@ SHOWN = 20
 """A list of versions, promotions or changes shows this many, and counts the others."""
 
 
-class Format(StrEnum):
-    """How an answer is written."""
-
-    table = "table"
-    json = "json"
-    csv = "csv"
-    ecsv = "ecsv"
-    fits = "fits"
-    hdf5 = "hdf5"
-    nuradio = "nuradio"
+Format = StrEnum("Format", ["table", "json", "csv", "ecsv", "fits", "hdf5", "nuradio"])
+"""How an answer is written."""
 
 
 def ingest(spectra: Annotated[Path, typer.Argument(help="Spectra file (HDF5, lbacal-spectra-1).")]) -> None:
@@ -182,16 +174,16 @@ def print_job(job: dict[str, Any], *, most: int = 0) -> None:
 @contextmanager
 def _progress(what: str) -> Iterator[Callable[[int, int], None]]:
     """A bar on a terminal, else one line at each tenth."""
+
+    def print_tenth(k: int, total: int) -> None:
+        if k == total or k % max(1, total // 10) == 0:
+            print(f"{k} of {total} {what}", file=sys.stderr, flush=True)
+
     if not sys.stderr.isatty():
-        yield lambda k, total: _print_tenth(what, k, total)
+        yield print_tenth
         return
     from rich.progress import Progress
 
     with Progress(transient=True) as bar:
         task = bar.add_task(what)
         yield lambda k, total: bar.update(task, completed=k, total=total)
-
-
-def _print_tenth(what: str, k: int, total: int) -> None:
-    if k == total or k % max(1, total // 10) == 0:
-        print(f"{k} of {total} {what}", file=sys.stderr, flush=True)

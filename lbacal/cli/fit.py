@@ -19,12 +19,8 @@ STEPS_OF_FIT = 2
 """What the progress bar counts beside the files: the fit, and the error of one event."""
 
 
-class Scope(StrEnum):
-    """What one curve belongs to."""
-
-    array = "array"
-    station = "station"
-    antenna = "antenna"
+Scope = StrEnum("Scope", ["array", "station", "antenna"])
+"""What one curve belongs to."""
 
 
 def fit(
