@@ -97,9 +97,7 @@ class Instrument:
             raise BadInputError("antenna: gain_source", expected, "None beside a chain that says kelvin")
         self.core = CoreInstrument(
             name=name,
-            latitude_deg=site.core().latitude_deg,
-            longitude_deg=site.core().longitude_deg,
-            height_m=site.core().height_m,
+            **vars(site.core()),
             frequency_mhz=frequency_mhz,
             dipole_azimuth_deg={letter: convert_number(azimuth, u.deg) for letter, (azimuth, _) in arms.items()},
             antenna_gain=np.broadcast_to(convert_numbers(antenna.gain, u.m**2), frequency_mhz.shape).copy(),

@@ -87,10 +87,8 @@ def draw_change(found: CurveInvestigation) -> Figure:
     for rank, fit in enumerate([found.last, *found.open[:MOST_LINES]]):
         change = found.fitter.calibration_change(found.first, fit)
         for panel, d in zip(axes, DIPOLES, strict=True):
-            is_named = rank == 0
-            style: dict[str, Any] = {"color": "black", "lw": 2.0} if is_named else {"lw": 1.1, "ls": "--"}
-            label = " + ".join(name_hypothesis(fit))
-            panel.plot(frequency, 100 * change[d], label=label, **style)
+            style: dict[str, Any] = {"lw": 1.1, "ls": "--"} if rank else {"color": "black", "lw": 2.0}
+            panel.plot(frequency, 100 * change[d], label=" + ".join(name_hypothesis(fit)), **style)
     for panel, d in zip(axes, DIPOLES, strict=True):
         panel.axhline(0.0, color=GREY, lw=0.8)
         panel.set_title(f"dipole {d}", fontsize=10)

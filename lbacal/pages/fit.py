@@ -132,16 +132,13 @@ def _draw_c(axes: Any, curves: Sequence[CalibrationCurve], dipole: str) -> None:
     stat, sys = (_median_error(curves, name) for name in ("c_sigma_stat", "c_sigma_sys"))
     total = np.hypot(stat, np.nan_to_num(sys))
     name = curves[0].name if len(curves) == 1 else f"median of {len(curves)} curves"
-    axes.fill_between(
-        frequency, middle * (1 - total), middle * (1 + total), color=colour, alpha=0.2, lw=0, label="total error"
-    )
-    axes.fill_between(
-        frequency, middle * (1 - stat), middle * (1 + stat), color=colour, alpha=0.6, lw=0, label="statistical error"
-    )
+    for error, alpha, label in ((total, 0.2, "total error"), (stat, 0.6, "statistical error")):
+        below, above = middle * (1 - error), middle * (1 + error)
+        axes.fill_between(frequency, below, above, color=colour, alpha=alpha, lw=0, label=label)
     if len(curves) > 1:
         low, high = np.nanpercentile(c, WITHIN_1_SIGMA, axis=0)
-        for edge, label in ((low, "68 % of the curves"), (high, None)):
-            axes.plot(frequency, edge, color=GREY, lw=0.9, ls="--", label=label)
+        axes.plot(frequency, low, color=GREY, lw=0.9, ls="--", label="68 % of the curves")
+        axes.plot(frequency, high, color=GREY, lw=0.9, ls="--")
     axes.plot(frequency, middle, color=colour, lw=1.4, label=name)
     flagged = np.mean([curve.flags != OK for curve in curves], axis=0) > 0.5
     if np.any(flagged):
@@ -197,8 +194,8 @@ def _draw_chi2(axes: Any, curves: Sequence[CalibrationCurve]) -> None:
     at = np.arange(1, len(curves) + 1)
     sigma = float(np.sqrt(2.0 / (channels - 3)))
     axes.axhspan(1 - 2 * sigma, 1 + 2 * sigma, color=GREY, alpha=0.2, lw=0, label="expected of noise, 95 %")
-    axes.axhline(largest_chi2_per_dof(channels), color=GREY, lw=0.9, ls="--", label="errors are widened above")
     largest = largest_chi2_per_dof(channels)
+    axes.axhline(largest, color=GREY, lw=0.9, ls="--", label="errors are widened above")
     for name, label, style in (
         ("chi2_per_dof", "noise alone", {"marker": "o", "color": COLOURS[2]}),
         ("chi2_per_dof_profiled", "sky and pattern free", {"marker": "^", "mfc": "white", "color": COLOURS[1]}),
