@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from lbacal.instants import DAY_US, parse_instant
 from lbacal_core.causes.model import follows_date
-from lbacal_core.curves.validity import Instant, Promotion, Scope
+from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import Instrument
 from service.errors import ConflictError
@@ -32,8 +32,8 @@ from service.storage.models import Investigation
 from service.storage.versions import Version
 from service.usecases.calibrations import select_paths
 from service.usecases.drift import year_of
-from service.usecases.promotions import LAST, Promotions
 from service.usecases.promotions import Change as ChangeOfC
+from service.usecases.promotions import Promotions
 from service.wire.bodies import ChangeBody, DecisionBody
 
 if TYPE_CHECKING:
@@ -136,12 +136,7 @@ class Changes:
                     continue
                 neighbours = fits.find_neighbours(stores, wanted)
                 versions += fits.make(fits.fit_causes(spectra, model), wanted, neighbours).versions
-            told = [
-                Promotion(0, one.scope, *one.window, one.id, LAST, by, "")
-                for one in versions
-                if one.scope in scopes and all(curve.c is not None for curve in one.curves)
-            ]
-            return self.promotions.changes(stores, told, versions) if told else []
+            return self.promotions.foresee(stores, [one for one in versions if one.scope in scopes], by, "")
 
     def _read(self, body: ChangeBody) -> Change:
         """What a person says, held against the instrument."""

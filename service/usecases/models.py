@@ -25,6 +25,7 @@ from service.storage.models import ADOPTED, WITHDRAWN, Announced, Gain, Investig
 from service.storage.spectra import Window
 from service.storage.sums import read_pieces
 from service.storage.versions import Version, mean_over_band
+from service.usecases.calibrations import select_paths
 from service.usecases.drift import year_of
 from service.usecases.gate import find_change_of_mean
 from service.usecases.promotions import LAST, Change, Promotions, undo
@@ -130,12 +131,7 @@ class Models:
             fitted = foreseen or self._fit_both(spectra, wanted, neighbours)
         announced = {key: one for k in (0, 2) for key, one in _announce(fitted[k], fitted[k + 1])}
         with self.database.read() as stores:
-            told = [
-                Promotion(0, version.scope, *version.window, version.id, LAST, by, body.reason)
-                for version in fitted[1]
-                if all(curve.c is not None for curve in version.curves)
-            ]
-            changes = self.promotions.changes(stores, told, fitted[1]) if told else []
+            changes = self.promotions.foresee(stores, fitted[1], by, body.reason)
         is_named = body.finding != UNEXPLAINED
         finding = made.report["findings"][body.finding] if is_named else made.report["unexplained"]
         # a report gives its newest event to the second
@@ -248,7 +244,8 @@ class Models:
         Where nothing stood, as where the gate had held the fit back as a misfit, nothing answers again. A version that
         has other causes than the station has from now on does not come back: what is there stays until the refit.
         """
-        scopes = {scope for path in self.promotions.paths_of(adopted.station) for scope in path.widening}
+        paths = select_paths(self.promotions.instrument, adopted.station, None, None)
+        scopes = {scope for path in paths for scope in path.widening}
         standing = stores.ledger.standing(scopes, adopted.since, adopted.until)
         earlier = stores.ledger.standing(scopes, adopted.since, adopted.until, before=adopted.at)
         versions = stores.versions.get_many(p.calibration for p in (*standing, *earlier) if p.calibration is not None)

@@ -81,7 +81,7 @@ class Promotions:
             good = [versions[name] for name in names if versions[name].status == CONVERGED]
             if not good:
                 raise ConflictError(f"job {number} made no version that converged: nothing to promote")
-            wanted = [Promotion(0, v.scope, v.since, v.until, v.id, LAST, by, body.reason) for v in good]
+            wanted = [_over_window(version, by, body.reason) for version in good]
             left_out = {name: v.status for name, v in versions.items() if v.status != CONVERGED}
             return Plan(wanted, self.changes(stores, wanted), stores.ledger.newest_number(), left_out)
 
@@ -116,7 +116,7 @@ class Promotions:
         if body.calibration is None:
             if stated == Scope() and body.scope is None:
                 raise BadInputError("body", 'a station, or "scope": "array" to withdraw what the array has', "neither")
-            _require_part_of(self.instrument, scope)
+            select_paths(self.instrument, *scope.parts)
         else:
             version = stores.versions.get(body.calibration)
             scope = version.scope
@@ -154,9 +154,14 @@ class Promotions:
         versions = stores.versions.get_many(ids) | {version.id: version for version in made}
         return [_with_size(change, versions) for change in found]
 
-    def paths_of(self, station: str) -> list[Scope]:
-        """The paths of a station."""
-        return select_paths(self.instrument, station, None, None)
+    def foresee(self, stores: Stores, made: Sequence[Version], by: str, reason: str) -> list[Change]:
+        """What versions with C that are not stored would change, each promoted for its window."""
+        told = [_over_window(one, by, reason) for one in made if all(curve.c is not None for curve in one.curves)]
+        return self.changes(stores, told, made) if told else []
+
+
+def _over_window(version: Version, by: str, reason: str) -> Promotion:
+    return Promotion(0, version.scope, *version.window, version.id, LAST, by, reason)
 
 
 def undo(made: Promotion, before: Sequence[Promotion], by: str, reason: str) -> Iterator[Promotion]:
@@ -167,10 +172,6 @@ def undo(made: Promotion, before: Sequence[Promotion], by: str, reason: str) -> 
         end = min(ends, default=None)
         if end is None or start < end:
             yield Promotion(0, made.scope, start, end, stretch.calibration, LAST, by, reason)
-
-
-def _require_part_of(instrument: Instrument, scope: Scope) -> None:
-    select_paths(instrument, scope.station, scope.antenna, scope.dipole)
 
 
 def _require_converged(version: Version) -> None:
