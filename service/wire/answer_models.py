@@ -201,13 +201,19 @@ class CurveAnswer(PathAnswer):
     parameters: dict[str, Fitted]
 
 
-class Validity(Answer):
-    """A half-open interval; `to` null is open."""
+class Stretch(Answer):
+    """A half-open interval; null is open."""
 
     model_config = ConfigDict(strict=True, extra="forbid", populate_by_name=True)
 
-    start: str = Field(alias="from")
+    start: str | None = Field(alias="from")
     end: str | None = Field(alias="to")
+
+
+class Validity(Stretch):
+    """A half-open interval; `to` null is open."""
+
+    start: str = Field(alias="from")
 
 
 class ReferenceAnswer(Answer):
@@ -371,13 +377,9 @@ class DiffAnswer(Answer):
     inputs: dict[str, Any]
 
 
-class ChangeAnswer(PathAnswer):
+class ChangeAnswer(Validity, PathAnswer):
     """What a promotion changes for a path over an interval."""
 
-    model_config = ConfigDict(strict=True, extra="forbid", populate_by_name=True)
-
-    start: str = Field(alias="from")
-    end: str | None = Field(alias="to")
     before: str | None
     after: str | None
     max_fraction: float | None
@@ -707,23 +709,15 @@ class AdoptionPlanAnswer(ChangesAnswer):
     promise: list[float] = Field(description="gain in log-likelihood on as many events again, and its error")
 
 
-class EpochAnswer(Answer):
+class EpochAnswer(Stretch):
     """A time in which nothing changed that is in force."""
 
-    model_config = ConfigDict(strict=True, extra="forbid", populate_by_name=True)
-
-    start: str | None = Field(alias="from")
-    end: str | None = Field(alias="to")
     because: int | None = Field(description="the change that began it")
 
 
-class InEffectStretch(Answer):
+class InEffectStretch(Stretch):
     """Which version answered when."""
 
-    model_config = ConfigDict(strict=True, extra="forbid", populate_by_name=True)
-
-    start: str | None = Field(alias="from")
-    end: str | None = Field(alias="to")
     calibration: str
 
 
