@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from lbacal.instants import DAY_US, format_instant, parse_instant
-from lbacal_core.causes.model import Model, follows_date
+from lbacal_core.causes.model import Model
 from lbacal_core.curves.curves import OK
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import BadInputError, name_path, write_chance
@@ -79,12 +79,7 @@ def find_named(stores: Stores) -> Iterator[News]:
 
 
 def _find_error(stores: Stores, made: Investigation, finding: Mapping[str, Any]) -> float | None:
-    """The statistical error of C in effect for what a finding is about, without the cause; None where nothing is.
-
-    What follows the date has alarms of steps and slopes, and windows are cut there.
-    """
-    if follows_date(finding["cause"], finding["parameters"]):
-        return None
+    """The statistical error of C in effect for what a finding is about, without the cause; None where nothing is."""
     antennas, dipoles = finding["where"]["antennas"], finding["where"]["dipoles"]
     scope = Scope(made.station, antennas[0], dipoles[0]) if len(antennas) == 1 else Scope(made.station)
     standing = stores.ledger.decisive(scope.widening, (made.since + made.until) // 2, None)
@@ -104,9 +99,9 @@ def _typical_error(version: Version) -> float | None:
 
 
 def _can_be_adopted(model: Model, made: Investigation, number: int) -> bool:
-    """Whether the model can have it: what is static is in C already, or belongs into the instrument file."""
+    """Whether the model can have it: what is static is in C already, what follows the date is a change."""
     try:
-        model.adopt(made.report, number, made.since // 1_000_000)
+        model.adopt(made.report, number, made.since // SECOND_US).require_one_c("finding")
     except BadInputError:
         return False
     return True
