@@ -96,7 +96,7 @@ class DueWork:
         if part.kind == DRIFT:
             return self.enqueue_watch()
         jobs = self.enqueue_drift(part.request["station"]) if part.request.get("scope") == "antenna" else []
-        if part.kind == WATCH or (part.kind == REFIT and part.is_due):
+        if part.kind in (WATCH, REFIT):
             with self.database.read() as stores:
                 due = [] if stores.jobs.is_open(REFIT) else self._refits(stores)
                 orders = [one for one in due if _is_changed(one) or stores.jobs.called_for(one) is not None]

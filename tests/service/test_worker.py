@@ -1,11 +1,13 @@
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
+from lbacal.instants import parse_instant
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.spectra.spectra import Spectra
 from service.factory import Factory
@@ -189,7 +191,7 @@ def test_work_that_nobody_began_is_given_up_when_the_scheduler_has_another_sky(
     with like(station, sky_power=None) as other:
         assert len(night(other)) == 6
     states = [job["state"] for job in http.get("/v1/jobs").json()["jobs"] if job["kind"] == "refit"]
-    assert (states.count("failed"), states.count("done")) == (6, 6)
+    assert (states.count("failed"), states.count("done")) == (6, 12), "each year, and again beside the other"
     assert http.get("/v1/status").json()["failures"] == [], "later work with the same request made up for them"
 
 
@@ -228,13 +230,17 @@ def test_due_work_that_failed_is_tried_again_after_ever_longer_pauses(
 
 
 @pytest.mark.long
-def test_due_work_that_was_cancelled_is_done_a_day_later(station: Factory, http: TestClient, clock: Any) -> None:
-    number = look_for_due_work(station)[0]
-    assert http.post(f"/v1/jobs/{number}/cancel").json()["error"] == "cancelled by key 1"
-    work(station)
-    assert look_for_due_work(station) == []
+def test_due_work_that_was_cancelled_is_done_a_day_later(
+    make_service: Callable[..., Factory], campaign: Spectra, clock: Any
+) -> None:
+    year = make_service(campaign.select(campaign.time_unix < parse_instant("", "2015-01-01") / 1e6))
+    number = look_for_due_work(year)[0]
+    with served(year) as http:
+        assert http.post(f"/v1/jobs/{number}/cancel").json()["error"] == "cancelled by key 1"
+    work(year)
+    assert look_for_due_work(year) == []
     clock.now += 24 * 60 * MINUTE_US + 1_000_000
-    assert len(look_for_due_work(station)) == 1
+    assert len(look_for_due_work(year)) == 1
 
 
 def test_the_night_is_not_behind_what_was_asked_for_before(station: Factory, http: TestClient) -> None:
@@ -281,8 +287,8 @@ def test_the_night_finds_every_year_station_and_antenna_once(station: Factory, h
     jobs = http.get("/v1/jobs").json()["jobs"]
     assert {job["state"] for job in jobs} == {"done"}
     assert sorted((job["kind"], job["request"].get("scope", "")) for job in jobs) == sorted(
-        2 * [("refit", scope) for scope in ("antenna", "station", "array")] + 2 * [("drift", "")] + [("watch", "")]
-    )
+        4 * [("refit", scope) for scope in ("antenna", "station", "array")] + 4 * [("drift", "")] + 2 * [("watch", "")]
+    ), "each year, and again beside the other"
     assert look_for_due_work(station) == []
     answer = http.get("/v1/calibrations/effective", params={"at": "2015-12-30"}).json()
     assert len(answer["curves"]) == 576
