@@ -182,7 +182,7 @@ def list_changes(
     return answer(request, {"changes": [describe_change(one) for one in found]})
 
 
-@acts(changes, "/v1/changes", ChangeBody, wire.PathChangeAnswer)
+@acts(changes, "/v1/changes", ChangeBody, wire.PathChangeAnswer, 409)
 def enter_change(
     request: Request, use: UseCases, order: Annotated[Order[ChangeBody], ordered(ChangeBody, PROMOTE)]
 ) -> Response:
