@@ -182,14 +182,14 @@ def _continue_paths(kept: KeptLines, new: _Events, simulation: Simulation, besid
         lines = lines_of(kept, at)
         if new.lst_hours.size:
             lines = continue_lines(lines, new.power[at], sky, new.relative_variance[at])
-        terms, channels = simulation.with_form(kept.form).noise, simulation.instrument.frequency_mhz.size
+        terms, channels = simulation.with_form(kept.form).noise, simulation.instrument.frequency_mhz
         alone = solve_without_interference(lines.slope, lines.intercept, lines.information, terms)
         owners, is_small = [kept.owners[k] for k in at.tolist()], np.zeros(at.size, dtype=bool)
-        solution = solve_together(lines, owners, kept.loss[at], terms, beside, *alone, is_small).solution
+        solution = solve_together(lines, owners, kept.loss[at], terms, beside, channels, *alone, is_small).solution
         is_undecided[at] = ~(solution.is_converged & solution.is_identifiable)
         with np.errstate(invalid="ignore", divide="ignore"):
             c = calibration_factor(solution.x, simulation.instrument.antenna_gain)
-            sigma = c * np.sqrt(np.einsum("pii->pi", solution.covariance)[:, :channels]) / (2.0 * solution.x)
+            sigma = c * np.sqrt(np.einsum("pii->pi", solution.covariance)[:, : channels.size]) / (2.0 * solution.x)
         curves = {
             kept.owners[k]: (c[j], sigma[j], float(LARGEST_ERROR * (share[k] / LARGEST_SHARE_OF_LATER) ** 0.5))
             for j, k in enumerate(at.tolist())

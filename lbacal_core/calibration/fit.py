@@ -215,7 +215,7 @@ def _fit_paths(
     events = np.isfinite(paths.relative_variance).sum(axis=1)
     covered = paths.count_lst_bins()
     is_small = (events < MIN_EVENTS) | (covered < MIN_LST_BINS)
-    status, at, lines, together = _fit_chain(paths, sky, simulation, loss, beside)
+    status, at, lines, together = _fit_chain(paths, events, covered, sky, simulation, loss, beside)
     solution, is_free = together.solution, together.is_free
     channels = instrument.frequency_mhz.size
     variance = np.einsum("pii->pi", solution.covariance)
@@ -281,13 +281,13 @@ def _fit_paths(
 
 
 def _fit_chain(
-    paths: Paths, sky: Floats, simulation: Simulation, loss: Floats, beside: Sequence[Beside]
-) -> tuple[NDArray[np.object_], NDArray[np.intp], Lines, Together]:
+    paths: Paths, events: NDArray[np.int64], covered: NDArray[np.int64], sky: Floats, simulation: Simulation,
+    loss: Floats, beside: Sequence[Beside],
+) -> tuple[NDArray[np.object_], NDArray[np.intp], Lines, Together]:  # fmt: skip
     """The status of each path before its curve is looked at, those that are fitted, all lines, and the chains."""
-    known, terms = paths.fits, simulation.noise
-    forms = chain_forms(simulation.instrument)
+    known, terms, instrument = paths.fits, simulation.noise, simulation.instrument
+    forms = chain_forms(instrument)
     lines = fit_lines(paths.power, sky, paths.relative_variance, forms) if known is None else known.lines
-    events, covered = np.isfinite(paths.relative_variance).sum(axis=1), paths.count_lst_bins()
     status = np.full(len(paths.owners), CONVERGED, dtype=object)
     status[~_sees_the_sky_vary(lines)] = NOT_IDENTIFIABLE
     status[covered < MIN_LST_BINS] = TOO_FEW_LST_BINS
@@ -301,7 +301,9 @@ def _fit_chain(
     if lent is not None:
         lines, at, alone = lines.exchange(lent.at, lent.lines), *lent.insert_into(at, *alone)
     owners = [paths.owners[k] for k in at.tolist()]
-    together = solve_together(lines.select(at), owners, loss[at], terms, beside, *alone, is_small[at])
+    together = solve_together(
+        lines.select(at), owners, loss[at], terms, beside, instrument.frequency_mhz, *alone, is_small[at]
+    )
     status[at[is_small[at] & (together.windows > 1)]] = CONVERGED
     return status, at, lines, together
 

@@ -2,7 +2,7 @@
 
 A window by itself knows the share of the electronic noise in its power to one or two percent, and the level of the
 power to 0.2 %. While the hardware is the same, the noise constants and the shape of A(nu) are the same in all windows;
-what differs is a gain in front of N_RCU, with a tilt and a curvature along frequency (those of `drift.events`):
+what differs is a gain in front of N_RCU, with a tilt and a curvature along frequency (`gain_modes`):
 
     s_k = s exp(phi g_k),    b_k = N_LNA s_k + N_RCU S G_RCU + N_ADC,    g_k ~ N(0, T),
 
@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from lbacal_core.calibration.chain_test import is_improbable
@@ -88,6 +89,7 @@ def solve_together(
     loss: Floats,
     terms: Intercepts,
     beside: Sequence[Beside],
+    frequency_mhz: Floats,
     alone: SeparableSolution,
     is_free: Booleans,
     is_small: NDArray[np.bool_],
@@ -112,7 +114,7 @@ def solve_together(
     if at.size == 0:
         return Together(alone, is_free, windows, chi2_per_dof)
     others = [one.take(at) for one in others if np.any(one.has_lines)]
-    solution, free, chi2 = _solve(lines.select(at), others, alone.take(at), terms)
+    solution, free, chi2 = _solve(lines.select(at), others, alone.take(at), terms, gain_modes(frequency_mhz))
     dof = count[at] * (lines.information.shape[1] - len(GAIN_SIGMAS))
     # what a small window borrows is never quite its own: where that shows, its error grows with it
     excess = np.where(is_small[at], np.maximum(chi2 / dof, 1.0), 1.0)
@@ -126,10 +128,10 @@ def solve_together(
 
 
 def _solve(
-    lines: Lines, others: Sequence[_Other], solution: SeparableSolution, terms: Intercepts
+    lines: Lines, others: Sequence[_Other], solution: SeparableSolution, terms: Intercepts, shapes: Floats
 ) -> tuple[SeparableSolution, Booleans, Floats]:
     """The solution, which intercepts are free, and chi^2 of all lines against one line for each channel."""
-    own, shapes = np.concatenate([lines.slope, lines.intercept], axis=1), gain_modes(lines.slope.shape[1])
+    own = np.concatenate([lines.slope, lines.intercept], axis=1)
     gains = [np.zeros((len(own), len(shapes))) for _ in others]
     for _ in range(MOST_ROUNDS):
         parts = [_integrate(one, gain, solution, terms, shapes) for one, gain in zip(others, gains, strict=True)]
@@ -152,9 +154,15 @@ def pick_beside(beside: Sequence[Beside], owner: Owner) -> list[Beside]:
     return [one for one in beside if one.lines.owners[0][::2] == owner[::2]]
 
 
-def gain_modes(channels: int) -> Floats:
-    """A gain that is flat along frequency, tilted and curved: the Legendre polynomials 0 to 2, shape (3, freq)."""
-    return np.asarray(np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, channels), len(GAIN_SIGMAS) - 1).T)
+def gain_modes(frequency_mhz: Floats) -> Floats:
+    """A gain that is flat along frequency, tilted and curved: the Legendre polynomials 0 to 2 over the band.
+
+    Returns
+    -------
+    Shape (3, freq); at the highest channel all are 1.
+    """
+    low, high = frequency_mhz[0], frequency_mhz[-1]
+    return np.asarray(legendre.legvander((2.0 * frequency_mhz - low - high) / (high - low), len(GAIN_SIGMAS) - 1).T)
 
 
 @dataclass(frozen=True)

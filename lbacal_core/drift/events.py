@@ -17,9 +17,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
+from lbacal_core.calibration.years import gain_modes
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.grids import Floats
 from lbacal_core.linear import solve_symmetric
@@ -50,20 +50,13 @@ class EventModes:
     ln_c: Floats
 
 
-def frequency_modes(frequency_mhz: Floats) -> Floats:
-    """The Legendre polynomials 1 and 2 over the band, shape (2, freq); at the highest channel both are 1."""
-    low, high = frequency_mhz[0], frequency_mhz[-1]
-    x = (2.0 * frequency_mhz - low - high) / (high - low)
-    return np.asarray(legendre.legvander(x, 2).T[1:])
-
-
 def measure_event_modes(
     block: SpectraBlock, references: Mapping[int, CalibrationCurve], simulation: Simulation
 ) -> EventModes:
     """Measure every event against converged reference curves, by antenna number."""
     rows = np.flatnonzero(np.isin(block.antennas, [a for a, curve in references.items() if curve.c is not None]))
     curves = [references[int(antenna)] for antenna in block.antennas[rows]]
-    modes = frequency_modes(block.frequency_mhz)
+    modes = gain_modes(block.frequency_mhz)[1:]
     if not curves:
         empty = np.empty((0, block.time_unix.size, len(MODES)))
         return EventModes(block.antennas[rows], block.time_unix, empty)

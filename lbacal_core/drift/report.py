@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from lbacal_core.drift.events import MODES, frequency_modes
+from lbacal_core.calibration.years import gain_modes
+from lbacal_core.drift.events import MODES
 from lbacal_core.drift.follow import Followed, History, Whole, measure_whole
 from lbacal_core.drift.search import Found
 from lbacal_core.grids import Floats
@@ -209,7 +210,7 @@ def _slopes(found: Found, owners: list[tuple[str, int | None, str]]) -> list[dic
 
 def _trend(trend: Whole, frequency_mhz: Floats) -> dict[str, Any]:
     """The trend of what many paths share, in frequency too, and what draws it."""
-    modes = np.vstack([np.ones_like(frequency_mhz), frequency_modes(frequency_mhz)])
+    modes = gain_modes(frequency_mhz)
     return {
         "slope": float(trend.slope[0]),
         "sigma": float(trend.sigma[0]),

@@ -50,7 +50,7 @@ def test_one_chain_through_the_years_is_that_of_all_their_lines_with_a_gain_for_
     """The slow way: every unknown of the lines at once, s, constants and three gains a year, by Gauss-Newton."""
     report = fit_calibration(years[0], scene.simulation, "antenna", beside(alone["antenna"], 0))
     curve = next(one for one in report.curves if one.dipole == "X")
-    terms, shapes = scene.simulation.noise, gain_modes(scene.instrument.frequency_mhz.size)
+    terms, shapes = scene.simulation.noise, gain_modes(scene.instrument.frequency_mhz)
     lines = [next(one for one in year.lines if one.owners[0][2] == "X") for year in alone["antenna"]]
     channels, count = shapes.shape[1], len(GAIN_SIGMAS)
     measured = np.array([np.concatenate([one.slope[0], one.intercept[0]]) for one in lines])

@@ -3,12 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lbacal_core.calibration.years import gain_modes
 from lbacal_core.curves.curves import CalibrationCurve, Parameter
 from lbacal_core.drift.events import (
     EventModes,
     add_events,
     average_months,
-    frequency_modes,
     measure_event_modes,
 )
 from lbacal_core.instrument.antennas import AntennaRecord
@@ -109,7 +109,7 @@ def test_a_month_with_few_events_has_no_value_and_an_antenna_without_reference_n
 
 def test_a_tilt_in_front_of_the_receiver_is_measured_as_such():
     block, curve, instrument, sky = make_case(np.ones(40), np.random.default_rng(1), noise=0.0)
-    modes = frequency_modes(MHZ)
+    modes = gain_modes(MHZ)[1:]
     tilt = 1.0 + 0.02 * modes[0] - 0.01 * modes[1]
     behind = N_RCU * RECEIVER * SCALE + N_ADC
     weight = np.mean((1.0 - behind / block.power[0]) ** 2, axis=0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -32,11 +33,11 @@ LATE = "2016-12"
 
 
 @pytest.fixture(scope="module")
-def truth(superterp: Instrument, sky_power_file: object) -> Campaign:
+def truth(superterp: Instrument, sky_power_file: Path) -> Campaign:
     """Three years of six antennas of CS002, 250 events each."""
     settings = TwinSettings(stations=("CS002",), antennas=6, years=2.99, events_per_year=250)
     step = GainStep(size=POWER - 1.0, date="2015-05-20", where=Where(antennas=(2,), dipoles=("X",)))
-    sky = read_sky_power(sky_power_file)  # type: ignore[arg-type]
+    sky = read_sky_power(sky_power_file)
     return simulate_campaign(settings, superterp, sky, np.random.default_rng(7), [step])
 
 
