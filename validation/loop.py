@@ -19,10 +19,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lbacal.instants import format_instant
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.curves.curves import CalibrationCurve
+from lbacal_core.calibration.years import Beside
+from lbacal_core.curves.curves import CalibrationCurve, FitReport
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.sky.power import compute_sky_power
 from lbacal_core.sky.table import write_sky_power
@@ -62,7 +64,7 @@ FAULTS: dict[str, Fault] = {
 """With the sizes that are tried first."""
 LARGEST = {"ionospheric_absorption": 1.0, "gain_temperature": 0.25, "dipole_swap": 1.0}
 """Absorption leaves a third of the power at 30 MHz; between -10 and 30 degrees a gain stays within a factor of two."""
-YEAR = "2016-01-01", "2017-01-01"
+FIRST, SECOND, YEAR = ("2014-01-01", "2015-01-01"), ("2015-01-01", "2016-01-01"), ("2016-01-01", "2017-01-01")
 WARM = (
     ("2016-04-16", "2016-10-15"),
     ("2016-05-01", "2016-09-01"),
@@ -107,25 +109,19 @@ class Years:
         rng = np.random.default_rng([15, self.seed])
         return simulate_campaign(self.settings, self.factory.instrument, self.factory.simulation.sky_power, rng, faults)
 
-    def fit_judged(self, spectra: Spectra) -> Sequence[CalibrationCurve]:
-        """C of the station in the part that is judged, fitted to some spectra outside the service."""
-        judged = spectra.select(self.is_judged(spectra))
-        return fit_calibration(judged, self.factory.simulation.at_its_word(), "station").curves
-
-    def is_judged(self, spectra: Spectra) -> Any:
-        """Whether spectra lie in the part that is judged."""
-        since, until = (np.datetime64(one).astype("datetime64[s]").astype(float) for one in self.judged)
-        return (spectra.time_unix >= since) & (spectra.time_unix < until)
-
-    @cached_property
-    def of_clean(self) -> Sequence[CalibrationCurve]:
-        """C of the part that is judged, from the data without the fault."""
-        return self.fit_judged(self.clean.spectra)
+    def fit(self, spectra: Spectra, window: tuple[str, str], *others: tuple[str, str]) -> FitReport:
+        """C of the station in a window, together with others, fitted to some spectra outside the service."""
+        lines = [kept for other in others for kept in self.fit(spectra, other).lines]
+        beside = [Beside(kept, np.ones(len(kept.owners), dtype=bool)) for kept in lines]
+        return fit_calibration(
+            spectra.select(_lies_in(spectra, window)), self.factory.simulation.at_its_word(), "station", beside
+        )
 
     @cached_property
     def moved(self) -> float:
-        """By how many statistical errors the fault moves C there."""
-        return _largest(self.fit_judged(self.spectra), self.of_clean)
+        """By how many statistical errors the fault moves C of the part that is judged, fitted by itself."""
+        faulty, clean = (self.fit(one, self.judged).curves for one in (self.spectra, self.clean.spectra))
+        return _largest(faulty, clean)
 
 
 def draw_years(settings: TwinSettings, sky: Path, seed: int) -> Years:
@@ -221,7 +217,7 @@ def _close(service: Service, years: Years) -> Row:
     if years.judged != YEAR:
         service.refit(*years.judged)
     plain, before = service.version_of(*years.judged, None), service.in_effect()
-    found = service.investigate("2015-01-01", "2016-01-01")
+    found = service.investigate(*SECOND)
     findings = found.report["findings"]
     names = [[one["cause"], *one["indistinguishable"]] for one in findings]
     name = next(key for key, fault in FAULTS.items() if type(fault) is type(years.fault))
@@ -238,10 +234,11 @@ def _close(service: Service, years: Years) -> Row:
     if years.judged != YEAR:
         service.refit(*years.judged)
     version = service.version_of(*years.judged, plan.model.id)
-    adopted = service.in_effect()
+    adopted, clean = service.in_effect(), years.clean.spectra
+    first = factory.calibrations.get(adopted[0][0][0])
     (line,) = factory.models.history()
     (gain,) = [one for one in line.gains_of_change if one.since == start_of_year(2016)]
-    left = service.investigate("2016-01-01", "2017-01-01")
+    left = service.investigate(*YEAR)
     promise, of_promise = plan.change.promise or (0.0, 0.0)
     share = gain.events / findings[0]["gain"]["held_out_events"]
     factory.models.withdraw(plan.model.id, ReasonBody(reason=REASON), REASON)
@@ -250,12 +247,12 @@ def _close(service: Service, years: Years) -> Row:
         "adopted": [plan.cause.size, plan.cause.sigma],
         "gated": version.gate,
         "is_in_effect": bool(adopted[2]) and adopted[2][0][0] == version.id,
-        "wrong": _largest(version.curves, years.of_clean),
+        "wrong": _largest(version.curves, years.fit(clean, years.judged, SECOND, FIRST).curves),
+        "first": _largest(first.curves, years.fit(clean, FIRST, SECOND, YEAR).curves),
         "pulls": _pulls(years, version.curves),
         "gain": [gain.gain, gain.expected, gain.expected_sigma],
         "promise": [promise * share, of_promise * share],
         "left": left.report["verdict"],
-        "is_first_year_untouched": adopted[0] == before[0],
         "is_restored": service.in_effect() == before,
     }
 
@@ -263,12 +260,17 @@ def _close(service: Service, years: Years) -> Row:
 def _pulls(years: Years, curves: Sequence[CalibrationCurve]) -> list[list[float]]:
     """Deviation of C from the truth in statistical errors, at three channels of X and of Y; nothing without C."""
     at, pulls = list(CHANNELS.values()), []
-    judged = years.clean.spectra.select(years.is_judged(years.clean.spectra))
+    judged = years.clean.spectra.select(_lies_in(years.clean.spectra, years.judged))
     for curve in curves:
         if curve.c is not None and curve.c_sigma_stat is not None:
             truth = planted_curve(Campaign(judged, years.clean.truth), curve)
             pulls.append(np.round(((curve.c - truth) / curve.c_sigma_stat)[at], 3).tolist())
     return pulls
+
+
+def _lies_in(spectra: Spectra, window: tuple[str, str]) -> NDArray[np.bool_]:
+    since, until = (np.datetime64(one).astype("datetime64[s]").astype(float) for one in window)
+    return np.asarray((spectra.time_unix >= since) & (spectra.time_unix < until))
 
 
 def _largest(curves: Sequence[CalibrationCurve], clean: Sequence[CalibrationCurve]) -> float:
@@ -300,7 +302,7 @@ def judge(rows: Sequence[Row]) -> list[Found]:
         root_mean_of("gain", of_gain**2),
         root_mean_of("promise", of_promise**2),
         rate_of("left", sum(row["left"] == "consistent" for row in closed), len(closed)),
-        count_of("before", closed, lambda r: not r["is_first_year_untouched"]),
+        mean_of("before", np.array([row["first"] for row in closed])),
         count_of("restored", closed, lambda r: not r["is_restored"]),
     ]
 

@@ -88,7 +88,7 @@ def total_error(curve: CalibrationCurve) -> np.ndarray:
 def _tell(report: FitReport, campaign: Campaign, stations: Sequence[str]) -> Iterator[tuple[ToldCurve, np.ndarray]]:
     """What every path of some stations is told by the curves of one scope, and the truth."""
     curves = {
-        (curve.station, curve.antenna, curve.dipole): (curve, chain)
+        curve.path: (curve, chain)
         for curve, chain in zip(report.curves, report.chains, strict=True)
         if curve.c is not None
     }

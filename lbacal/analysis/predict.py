@@ -97,7 +97,7 @@ def predict(
     if not isinstance(source, Calibration):
         found = predict_alone(simulation_of(source), station, antenna, dipole, 1e-6 * instant)
         return _make({"at": format_instant(instant), **found.as_dict()})
-    curves = {(one.station, one.antenna, one.dipole): one for one in source.report.curves}
+    curves = {one.path: one for one in source.report.curves}
     curve = curves.get((station, antenna, dipole))
     if curve is None:
         wanted, names = f"{station} antenna {antenna} {dipole}", [one.name for one in curves.values()]

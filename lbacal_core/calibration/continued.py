@@ -54,10 +54,12 @@ def keep_lines(
     paths: Paths, lines: Lines, curves: Sequence[CalibrationCurve], form: str, loss: Floats, spectra: Sequence[str]
 ) -> KeptLines:
     """Take from a fit what it can be continued with, and what other windows can be fitted with."""
+    has_c = np.array([curve.c is not None for curve in curves])
     return KeptLines(
         owners=tuple(paths.owners),
         events=np.isfinite(paths.relative_variance).sum(axis=1),
-        has_c=np.array([curve.c is not None for curve in curves]),
+        has_c=has_c,
+        is_good=has_c,
         slope=lines.slope,
         intercept=lines.intercept,
         information=lines.information,

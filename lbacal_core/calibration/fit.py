@@ -21,7 +21,13 @@ from lbacal_core.calibration.chain_test import (
     is_improbable,
     name_mistakes,
 )
-from lbacal_core.calibration.channels import SMALLEST_BAND, describe_merged, flag_channels, solve_without_interference
+from lbacal_core.calibration.channels import (
+    SMALLEST_BAND,
+    Booleans,
+    describe_merged,
+    flag_channels,
+    solve_without_interference,
+)
 from lbacal_core.calibration.continued import keep_lines
 from lbacal_core.calibration.gain_waves import (
     GAIN_WAVES,
@@ -62,7 +68,7 @@ from lbacal_core.curves.kept_lines import KeptLines
 from lbacal_core.curves.reference_chain import CableTable, ReferenceChain
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_same_grid
-from lbacal_core.instrument.chain import calibration_factor
+from lbacal_core.instrument.chain import Intercepts, calibration_factor
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import Provenance
 from lbacal_core.simulation.simulation import Simulation
@@ -135,10 +141,15 @@ def fit_calibration(
     fitted.sort(key=lambda c: (c[0].station or "", -1 if c[0].antenna is None else c[0].antenna, c[0].dipole or ""))
     mistaken = {} if prior is None else name_mistakes([(curve, gain) for curve, gain, _ in fitted], prior.mistakes)
     following = stations_that_follow([waves for *_, waves in batches])
-    curves = [
-        curve.as_misfit() if curve.c is not None and (curve.owner in mistaken or curve.station in following) else curve
-        for curve, *_ in fitted
-    ]
+    curves = _share_misfits(
+        [
+            curve.as_misfit()
+            if curve.c is not None and (curve.owner in mistaken or curve.station in following)
+            else curve
+            for curve, *_ in fitted
+        ]
+    )
+    good = {curve.path for curve in curves if curve.status == CONVERGED}
     provenance = Provenance(
         inputs={
             "spectra": digest.result(),
@@ -157,11 +168,11 @@ def fit_calibration(
         | ({GAIN_WAVES: describe_gain_waves(following)} if following else {}),
     )
     return FitReport(
-        tuple(_share_misfits(curves)),
+        tuple(curves),
         provenance,
         tuple(chain for *_, chain in fitted),
         tuple(anomaly for _, anomalies, *_ in batches for anomaly in anomalies),
-        lines=tuple(lines for *_, lines, _ in batches),
+        lines=tuple(lines.lend(good) for *_, lines, _ in batches),
     )
 
 
@@ -215,7 +226,7 @@ def _fit_paths(
     events = np.isfinite(paths.relative_variance).sum(axis=1)
     covered = paths.count_lst_bins()
     is_small = (events < MIN_EVENTS) | (covered < MIN_LST_BINS)
-    status, at, lines, together = _fit_chain(paths, events, covered, sky, simulation, loss, beside)
+    status, at, lines, (alone, free_alone), together = _fit_chain(paths, events, covered, sky, simulation, loss, beside)
     solution, is_free = together.solution, together.is_free
     channels = instrument.frequency_mhz.size
     variance = np.einsum("pii->pi", solution.covariance)
@@ -230,19 +241,20 @@ def _fit_paths(
     status[at[is_fitted & ~solution.is_converged]] = NOT_CONVERGED
     status[at[is_fitted & ~(solution.is_identifiable & is_usable)]] = NOT_IDENTIFIABLE
     has_c = status == CONVERGED
+    # a window is judged by itself: what is wrong with another is no misfit of this one
     good = np.flatnonzero(has_c & ~is_small)
     of_good = np.searchsorted(at, good)
     fitted = FittedPaths(
-        paths.power[good], sky, paths.relative_variance[good], paths.lst_hours, lines.select(good), solution.n[of_good],
-        solution.x[of_good], terms, is_free[of_good], simulation.prior, paths.owners[0][2],
+        paths.power[good], sky, paths.relative_variance[good], paths.lst_hours, lines.select(good), alone.n[of_good],
+        alone.x[of_good], terms, free_alone[of_good], simulation.prior, paths.owners[0][2],
     )  # fmt: skip
     tested, waves = fitted.test(), see_gain_waves(fitted, chain_forms(instrument))
     scatter = np.median(lines.levels.radiometer, axis=1) if paths.scatter is None else paths.scatter
     is_odd = scatter[good] < SMALLEST_OF_LIMIT * paths.smallest_scatter
-    is_odd |= _has_negative_noise(solution.q[of_good], variance[of_good, channels + len(terms.front) :])
-    # merged constants are one
-    dof = channels - terms.free_count - is_free.sum(axis=1) + np.maximum(solution.is_merged.sum(axis=1) - 1, 0)
-    is_unlikely = is_improbable(solution.chi2[of_good], dof[of_good])
+    of_alone = np.einsum("pii->pi", alone.covariance)[of_good, channels + len(terms.front) :]
+    is_odd |= _has_negative_noise(alone.q[of_good], of_alone)
+    is_unlikely = is_improbable(alone.chi2[of_good], _count_dof(alone, free_alone, terms)[of_good])
+    dof = _count_dof(solution, is_free, terms)
     is_misfit = set(good[tested.is_misfit | (is_odd & is_unlikely)].tolist())
     profiled = dict(zip(good.tolist(), tested.per_dof.tolist(), strict=True))
     gains = dict(zip(good.tolist(), tested.gain, strict=True))
@@ -283,8 +295,11 @@ def _fit_paths(
 def _fit_chain(
     paths: Paths, events: NDArray[np.int64], covered: NDArray[np.int64], sky: Floats, simulation: Simulation,
     loss: Floats, beside: Sequence[Beside],
-) -> tuple[NDArray[np.object_], NDArray[np.intp], Lines, Together]:  # fmt: skip
-    """The status of each path before its curve is looked at, those that are fitted, all lines, and the chains."""
+) -> tuple[NDArray[np.object_], NDArray[np.intp], Lines, tuple[SeparableSolution, Booleans], Together]:  # fmt: skip
+    """The status of each path before its curve is looked at, those that are fitted, all lines, and the chains.
+
+    The chains by the window alone, with which intercepts are free, and by all windows.
+    """
     known, terms, instrument = paths.fits, simulation.noise, simulation.instrument
     forms = chain_forms(instrument)
     lines = fit_lines(paths.power, sky, paths.relative_variance, forms) if known is None else known.lines
@@ -305,7 +320,13 @@ def _fit_chain(
         lines.select(at), owners, loss[at], terms, beside, instrument.frequency_mhz, *alone, is_small[at]
     )
     status[at[is_small[at] & (together.windows > 1)]] = CONVERGED
-    return status, at, lines, together
+    return status, at, lines, alone, together
+
+
+def _count_dof(solution: SeparableSolution, is_free: Booleans, terms: Intercepts) -> NDArray[np.intp]:
+    """Degrees of freedom of chi^2 of the lines, shape (path,): merged constants are one."""
+    used = terms.free_count + is_free.sum(axis=1) - np.maximum(solution.is_merged.sum(axis=1) - 1, 0)
+    return np.asarray(solution.x.shape[1] - used)
 
 
 def _covariance_of(slope: Floats, covariance: Floats, has_value: NDArray[np.bool_]) -> CurveCovariance:

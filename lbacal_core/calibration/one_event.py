@@ -31,7 +31,7 @@ def compare_paths(
     -------
     The row of the path in the block, its curve, and the ratio, shape (event that the path has, freq).
     """
-    known = {(curve.station, curve.antenna, curve.dipole): curve for curve in curves if curve.c is not None}
+    known = {curve.path: curve for curve in curves if curve.c is not None}
     sky = simulation.sky_at(block.station, block.dipole, block.time_unix)
     for row, antenna in enumerate(block.antennas.tolist()):
         owners = ((block.station, antenna), (block.station, None), (None, None))

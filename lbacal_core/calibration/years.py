@@ -189,7 +189,7 @@ class _Other:
 def _line_up(one: Beside, owners: Sequence[Owner], loss: Floats, is_small: NDArray[np.bool_]) -> _Other:
     """The lines of another window that count, in the order of the owners."""
     kept, (paths, channels) = one.lines, loss.shape
-    place = {owner: k for k, owner in enumerate(kept.owners) if kept.has_c[k]}
+    place = {owner: k for k, owner in enumerate(kept.owners) if kept.is_good[k]}
     at = [k for k, owner in enumerate(owners) if owner in place and (is_small[k] or one.is_same[place[owner]])]
     of = [place[owners[k]] for k in at]
     found = _Other(

@@ -360,6 +360,11 @@ class CalibrationCurve:
         return self.station, self.antenna
 
     @property
+    def path(self) -> tuple[str | None, int | None, str]:
+        """Station, antenna and dipole; station and antenna are None where it is that of a mean."""
+        return self.station, self.antenna, str(self.dipole)
+
+    @property
     def antenna_gain_sha256(self) -> str | None:
         """Hash of G_ant: curves with the same one were fitted with the same antenna gain."""
         return None if self.antenna_gain is None else hash_arrays(self.frequency_mhz, self.antenna_gain)

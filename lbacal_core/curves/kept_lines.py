@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Container, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -58,6 +58,8 @@ class KeptLines:
         How many events each was fitted to, shape (path,).
     has_c
         Whether the fit gave a curve, shape (path,).
+    is_good
+        Whether the curve is no misfit, so that other windows may use the lines, shape (path,).
     slope, intercept
         s and b, shape (path, freq).
     information
@@ -81,6 +83,7 @@ class KeptLines:
     owners: Sequence[Owner]
     events: NDArray[np.int64]
     has_c: NDArray[np.bool_]
+    is_good: NDArray[np.bool_]
     slope: Floats
     intercept: Floats
     information: Floats
@@ -94,6 +97,10 @@ class KeptLines:
     variance_unit: float = 1.0
     members: MemberLines | None = None
     form: str = "published"
+
+    def lend(self, good: Container[Owner]) -> KeptLines:
+        """The same, where other windows may use the lines of these owners and of no others."""
+        return replace(self, is_good=np.array([owner in good for owner in self.owners]))
 
 
 def write_lines(kept: Sequence[KeptLines]) -> dict[str, Any]:
@@ -129,7 +136,10 @@ def read_lines(arrays: Mapping[str, Any]) -> list[KeptLines]:
     ]
 
 
-_ARRAYS = ("events", "has_c", "slope", "intercept", "radiometer", "constant", "behind", "scatter", "loss", "spectra")
+_ARRAYS = (
+    "events", "has_c", "is_good", "slope", "intercept", "radiometer", "constant", "behind", "scatter", "loss",
+    "spectra",
+)  # fmt: skip
 
 
 def _whole(half: Any, size: int) -> Floats:

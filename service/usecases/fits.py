@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from lbacal.instants import format_instant
-from lbacal_core.audit.audit import audit_quickly
+from lbacal_core.audit.audit import QuickAudit, audit_quickly
 from lbacal_core.calibration.budget import add_budget, compute_budget
 from lbacal_core.calibration.continued import Continued, continue_fit
 from lbacal_core.calibration.separable import solve_separable
@@ -23,7 +23,7 @@ from lbacal_core.calibration.windows import cut_window, find_hardware_changes
 from lbacal_core.calibration.years import Beside
 from lbacal_core.causes.model import Model
 from lbacal_core.curves.covariance import Budget
-from lbacal_core.curves.curves import Anomalies, CalibrationCurve, FitReport
+from lbacal_core.curves.curves import CONVERGED, Anomalies, CalibrationCurve, FitReport
 from lbacal_core.curves.kept_lines import KeptLines, Owner
 from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.curves.validity import Instant, Scope
@@ -91,6 +91,11 @@ class Wanted:
         return cuts + [[one.station, one.antenna, one.date, one.dipoles, one.power] for one in self.taken_out]
 
     @property
+    def is_year(self) -> bool:
+        """Whether the window is a calendar year."""
+        return (self.since, self.until) == year_of(self.since)
+
+    @property
     def window(self) -> Window:
         """What is read: the whole station where a path's model has causes, whose sizes belong to more than the path."""
         is_part = self.of.antenna is not None and not self.model.is_plain
@@ -101,8 +106,8 @@ class Wanted:
 class Made:
     """The versions of a fit, one for every scope, and the budgets that their curves name, by hash.
 
-    `lines` are those of each piece of the window, [since, until), with which later events can continue the fit; none
-    where the model has causes.
+    `lines` are those of each piece of the window, [since, until), with which later events can continue the fit, and
+    other windows be fitted.
     """
 
     versions: list[Version]
@@ -152,12 +157,9 @@ class Fits:
 
     def find_neighbours(self, stores: Stores, wanted: Wanted) -> Neighbours:
         """The calendar years beside a window of which lines are kept that a fit would make again."""
-        of, found = Scope(wanted.of.station), []
-        for block in stores.sums.beside(wanted.scope, of, wanted.since, wanted.until):
-            then = read_fit(stores, wanted.scope, of, (block.since, block.until))
-            is_year = (block.since, block.until) == year_of(block.since)
-            if is_year and block.inputs == self._name_inputs(then):
-                found += [KeptWindow(piece.since, piece.until, piece.lines) for piece in read_pieces(block.arrays)]
+        of = Scope(wanted.of.station)
+        pieces = self._find_pieces(stores, wanted.scope, of, wanted.since, wanted.until)
+        found = [KeptWindow(piece.since, piece.until, piece.lines) for piece in pieces]
         changes: dict[tuple[str, int], list[Instant]] = {}
         behind: dict[Owner, tuple[Floats, str]] = {}
         for station in {one.station for one in wanted.taken_out}:
@@ -168,12 +170,21 @@ class Fits:
             changes.setdefault(owner, []).extend(round(date * SECOND_US) for date in dates)
         return Neighbours(found, changes, behind)
 
+    def _find_pieces(
+        self, stores: Stores, scope: str, of: Scope, since: Instant = 0, until: Instant = 0
+    ) -> Iterator[KeptPiece]:
+        """What is kept of the calendar years beside a window, of fits that would be made again; beside none: of all."""
+        for block in stores.sums.beside(scope, of, since, until):
+            then = read_fit(stores, scope, of, (block.since, block.until))
+            if then.is_year and block.inputs == self._name_inputs(then):
+                yield from read_pieces(block.arrays)
+
     def _find_behind(self, stores: Stores, station: Scope) -> dict[Owner, tuple[Floats, str]]:
         """What is added behind N_RCU in the paths of a station, by the first window that is kept of each."""
         found: dict[Owner, tuple[Floats, str]] = {}
-        for block in stores.sums.beside("antenna", station, 0, 0):
-            for one in (lines for piece in read_pieces(block.arrays) for lines in piece.lines):
-                at = [k for k, owner in enumerate(one.owners) if one.has_c[k] and owner not in found]
+        for piece in self._find_pieces(stores, "antenna", station):
+            for one in piece.lines:
+                at = [k for k, owner in enumerate(one.owners) if one.is_good[k] and owner not in found]
                 terms = self.simulation.with_form(one.form).noise
                 solved = solve_separable(one.slope[at], one.intercept[at], one.information[at], terms)
                 for k, behind in zip(at, solved.q @ terms.behind, strict=True):
@@ -253,11 +264,17 @@ class Fits:
         """
         pieces = list(self._fit_pieces(whole, wanted, neighbours, budget))
         versions = [version for made, *_ in pieces for version in made]
+        versions = share_misfits(versions) if len(pieces) > 1 else versions
         if budget is not None:
             versions = [replace(one, inputs={**one.inputs, BUDGET: budget.digest}) for one in versions]
         budgets = {name: one for _, report, _ in pieces for name, one in report.budgets.items()}
-        lines = [(during.since, during.until, report.lines) for _, report, during in pieces if report.lines]
-        return Made(share_misfits(versions) if len(pieces) > 1 else versions, budgets, lines)
+        good = {(one.window, curve.path) for one in versions for curve in one.curves if curve.status == CONVERGED}
+        lines = []
+        for _, report, during in pieces:
+            since, until = during.since, during.until
+            of_piece = {owner for window, owner in good if window == (since, until)}
+            lines += [(since, until, [one.lend(of_piece) for one in report.lines])]
+        return Made(versions, budgets, [one for one in lines if one[2]])
 
     def _fit_pieces(
         self,
@@ -270,9 +287,13 @@ class Fits:
         """Fit the pieces of a window, that with the most spectra first: it has the budget of all, and may lend."""
         made, named, instrument = self.clock(), _name_sizes(whole, wanted, neighbours), self.simulation.instrument
         whole = _take_out(whole, wanted, neighbours)
-        for of_piece, recorded, during in sorted(self._cut(whole, wanted), key=lambda one: -len(one[1])):
+        cut = sorted(self._cut(whole, wanted), key=lambda one: -len(one[1]))
+        if budget is None:
+            for of_piece, *_ in cut:
+                self._require_power(of_piece, wanted)
+        for of_piece, recorded, during in cut:
             if budget is None:
-                budget = self._audit_and_budget(of_piece, wanted)
+                budget = self._budget(of_piece)
                 neighbours = neighbours if budget.polarisations else ALONE
             beside = neighbours.beside(during.since, during.until)
             plain = [curve for one in before if one.window == (during.since, during.until) for curve in one.curves]
@@ -280,15 +301,20 @@ class Fits:
             neighbours = neighbours.and_also(KeptWindow(during.since, during.until, report.lines))
             yield _versions(recorded, report, during, made, named, beside, instrument), report, during
 
-    def _audit_and_budget(self, fitted: FittedCauses, wanted: Wanted) -> Budget:
-        """The budget of spectra whose unit is that of power: one for all scopes that are fitted to them."""
+    def _require_power(self, fitted: FittedCauses, wanted: Wanted) -> None:
+        """Refuse spectra whose unit is not that of power."""
 
-        def compute() -> Budget:
-            audited = audit_quickly(fitted.recorded, self.simulation.instrument)
-            audited.require_power(f"spectra of {name_path(*wanted.of.parts)}")
-            return compute_budget(fitted.spectra, fitted.simulation)
+        def look() -> QuickAudit:
+            return audit_quickly(fitted.recorded, self.simulation.instrument)
 
-        budget: Budget = self.simulation.made.get(("budget", fitted.spectra.digest()), compute)
+        audited = self.simulation.made.get(("unit", fitted.recorded.digest()), look)
+        audited.require_power(f"spectra of {name_path(*wanted.of.parts)}")
+
+    def _budget(self, fitted: FittedCauses) -> Budget:
+        """The budget of some spectra: one for all scopes that are fitted to them."""
+        budget: Budget = self.simulation.made.get(
+            ("budget", fitted.spectra.digest()), lambda: compute_budget(fitted.spectra, fitted.simulation)
+        )
         return budget
 
     def _cut(self, whole: FittedCauses, wanted: Wanted) -> Iterator[tuple[FittedCauses, Spectra, Wanted]]:
@@ -346,7 +372,7 @@ def _versions(
     groups: dict[Scope, list[CalibrationCurve]] = {}
     chains: dict[Scope, dict[str, ReferenceChain]] = {}
     for curve, chain in zip(report.curves, report.chains, strict=True):
-        scope = scope_of((curve.station, curve.antenna, str(curve.dipole)))
+        scope = scope_of(curve.path)
         groups.setdefault(scope, []).append(curve)
         if chain is not None:
             chains.setdefault(scope, {})[str(curve.dipole)] = chain

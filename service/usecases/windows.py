@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lbacal_core.calibration.fit import SHARE_OF_MISFITS
 from lbacal_core.calibration.years import Beside
@@ -52,7 +52,7 @@ class Neighbours:
         ranked = sorted(self.windows, key=lambda one: (one.gap(since, until), one.since))
         return [(one, Beside(of, self._is_same(of, one, since, until))) for one in ranked for of in one.lines]
 
-    def _is_same(self, of: KeptLines, one: KeptWindow, since: Instant, until: Instant) -> Any:
+    def _is_same(self, of: KeptLines, one: KeptWindow, since: Instant, until: Instant) -> NDArray[np.bool_]:
         """Whether nothing is known to have changed between two windows, path by path; of a mean it is taken out."""
         first, last = min(one.until, until), max(one.since, since)
         dates = [
@@ -82,7 +82,7 @@ def name_windows(scope: Scope, beside: Sequence[tuple[KeptWindow, Beside]]) -> s
         [one.since, one.until, str(of.lines.spectra[k])]
         for one, of in beside
         for k, owner in enumerate(of.lines.owners)
-        if of.lines.has_c[k] and scope == scope_of(owner)
+        if of.lines.is_good[k] and scope == scope_of(owner)
     )
     return hash_content(named)
 

@@ -24,8 +24,11 @@ def test_the_fault_is_named_and_with_it_c_is_right_again(row: Row) -> None:
     assert row["is_in_effect"]
 
 
+def test_the_first_year_is_helped_by_years_that_are_right_again(row: Row) -> None:
+    assert row["first"] < 0.5
+
+
 def test_withdrawal_restores_what_was_told_bit_by_bit(row: Row) -> None:
-    assert row["is_first_year_untouched"]
     assert row["is_restored"]
 
 

@@ -118,7 +118,7 @@ def test_a_fit_is_continued_in_its_own_form(scene):
     assert {one.form for one in kept} == {BEHIND}
     found = continue_fit(kept, spectra.select(np.zeros(len(spectra), dtype=bool)), scene.simulation)
     for curve in whole.curves:
-        c, _, _ = found.curves[curve.station, curve.antenna, curve.dipole]
+        c, _, _ = found.curves[curve.path]
         # information is kept in single precision
         np.testing.assert_allclose(c, curve.c, rtol=1e-3)
 

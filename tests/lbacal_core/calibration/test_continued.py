@@ -26,23 +26,19 @@ def kept_of(scene, spectra, scope):
     return read_lines(write_lines(report.lines))
 
 
-def owner(curve):
-    return curve.station, curve.antenna, curve.dipole
-
-
 @pytest.mark.parametrize("scope", ["antenna", "station", "array"])
 @pytest.mark.parametrize("more", [1, 15])
 def test_a_continued_fit_equals_the_fit_from_all_spectra_within_a_tenth_of_sigma_or_less(scene, spectra, scope, more):
     kept = kept_of(scene, part(spectra, 0, EVENTS - more), scope)
     found = continue_fit(kept, part(spectra, EVENTS - more, EVENTS), scene.simulation)
     whole = fit_calibration(spectra, scene.simulation, scope)
-    off = [np.max(np.abs(found.curves[owner(curve)][0] - curve.c) / curve.c_sigma_stat) for curve in whole.curves]
+    off = [np.max(np.abs(found.curves[curve.path][0] - curve.c) / curve.c_sigma_stat) for curve in whole.curves]
     assert len(off) == {"antenna": 12, "station": 4, "array": 2}[scope]
     assert found.undecided == frozenset()
     stated = {error for *_, error in found.curves.values()}
     assert max(off) < min(stated) <= max(stated) < 0.1
     for curve in whole.curves:
-        np.testing.assert_allclose(found.curves[owner(curve)][1], curve.c_sigma_stat, rtol=0.1)
+        np.testing.assert_allclose(found.curves[curve.path][1], curve.c_sigma_stat, rtol=0.1)
 
 
 @pytest.mark.parametrize("scope", ["antenna", "array"])
@@ -58,7 +54,7 @@ def test_events_that_move_c_move_it_alike_in_both(scene, spectra, scope):
     whole = fit_calibration(brighter, scene.simulation, scope)
     moved = np.array([(new.c - old.c) / new.c_sigma_stat for new, old in zip(whole.curves, before.curves, strict=True)])
     told = np.array(
-        [(found.curves[owner(new)][0] - old.c) / new.c_sigma_stat
+        [(found.curves[new.path][0] - old.c) / new.c_sigma_stat
          for new, old in zip(whole.curves, before.curves, strict=True)]
     )  # fmt: skip
     assert np.max(np.abs(moved)) > 0.2

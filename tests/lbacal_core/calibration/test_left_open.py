@@ -32,7 +32,7 @@ def fitted(chain, sky, simulation):
 
 
 def relative(report, station, dipole, antenna=None):
-    (curve,) = [c for c in report.curves if (c.station, c.antenna, c.dipole) == (station, antenna, dipole)]
+    (curve,) = [c for c in report.curves if c.path == (station, antenna, dipole)]
     return None if curve.c_sigma_sys is None else curve.c_sigma_sys / curve.c
 
 

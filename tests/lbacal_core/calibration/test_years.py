@@ -36,7 +36,8 @@ def alone(scene, years):
 
 
 def beside(reports, own, *, is_same=True):
-    kept = [lines for k, report in enumerate(reports) if k != own for lines in read_lines(write_lines(report.lines))]
+    others = [report for k, report in enumerate(reports) if report is not None and k != own]
+    kept = [lines for report in others for lines in read_lines(write_lines(report.lines))]
     return [Beside(lines, np.full(len(lines.owners), is_same)) for lines in kept]
 
 
@@ -116,6 +117,16 @@ def test_a_year_that_does_not_repeat_is_fitted_by_itself_and_says_so(scene, year
         assert now.repeated.chi2_per_dof > 1.5
 
 
+def test_a_year_that_is_a_misfit_lends_nothing_to_others(scene, years, alone):
+    """A clock of two hours; the noise constants that a wrong sky gives are no measurement of those of other years."""
+    late = fit_calibration(replace(years[1], time_unix=years[1].time_unix + 7200.0), scene.simulation)
+    assert {curve.status for curve in late.curves} == {"misfit"}
+    found = fit_calibration(years[0], scene.simulation, "antenna", beside([None, late], 0))
+    for by_itself, now in zip(alone["antenna"][0].curves, found.curves, strict=True):
+        assert np.array_equal(by_itself.c, now.c)
+        assert now.repeated is None
+
+
 def test_a_window_too_small_for_a_fit_has_the_chain_of_another_through_its_own_cable_and_a_gain(scene, alone):
     few = draw_year(scene, 1, events=30, days=20.0)
     lonely = fit_calibration(few, scene.simulation)
@@ -144,7 +155,7 @@ def test_later_events_continue_a_fit_of_several_years(scene, years, alone):
     found = continue_fit(kept, new, scene.simulation, others)
     whole = fit_calibration(years[0], scene.simulation, "antenna", others)
     for curve in whole.curves:
-        c, sigma, _ = found.curves[curve.station, curve.antenna, curve.dipole]
+        c, sigma, _ = found.curves[curve.path]
         assert np.max(np.abs(c - curve.c) / curve.c_sigma_stat) < 0.1
         np.testing.assert_allclose(sigma, curve.c_sigma_stat, rtol=0.1)
     assert continue_fit(kept, None, scene.simulation, others).curves.keys() == found.curves.keys()

@@ -107,6 +107,7 @@ def draw(rng: np.random.Generator, members: MemberLines | None) -> KeptLines:
     root = rng.standard_normal((2, 8, 8))
     return KeptLines(
         owners=[("CS002", 3, "X"), (None, None, "X")], events=np.array([400, 12]), has_c=np.array([True, False]),
+        is_good=np.array([True, False]),
         slope=rng.random((2, 4)), intercept=rng.random((2, 4)), information=root @ root.transpose(0, 2, 1),
         radiometer=rng.random((2, 4)), constant=rng.random((2, 3, 4)), behind=rng.random((2, 3, 4)),
         scatter=rng.random(2), loss=rng.random((2, 4)),

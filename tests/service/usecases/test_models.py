@@ -265,7 +265,7 @@ def test_the_loop_closes_on_a_fault_that_begins_in_the_second_year(
         of_paths = [job for job in jobs if job.request.get("scope") == "antenna"]
         third = next(job for job in of_paths if format_day(job.request["since"]) == "2016-01-01")
         old = pulls(http, third.results[0]["calibrations"], three_years)
-        assert np.median(np.abs(old)) > 3
+        assert np.sqrt(np.mean(old**2)) > 3
 
         made = adopt(http, named["id"])
         work(factory)
@@ -292,7 +292,10 @@ def test_the_loop_closes_on_a_fault_that_begins_in_the_second_year(
         assert [one["findings"] for one in left[:2]] == [[], []], "with the cause adopted nothing is left"
 
         http.post(f"/v1/models/{made['model']}/withdrawal", json={"reason": "test"}).raise_for_status()
-        assert [[c["c"] for c in year] for year in in_effect()] == [[c["c"] for c in year] for year in before]
+        work(factory)
+        for now, then in zip(in_effect(), before, strict=True):
+            for curve, was in zip(now, then, strict=True):
+                assert np.array_equal(curve["c"], was["c"]), curve["calibration"]
 
 
 @pytest.mark.long
