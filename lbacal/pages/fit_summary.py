@@ -82,7 +82,7 @@ def explain_chi2(curves: Sequence[CalibrationCurve]) -> str:
         f"parts data and model; above {limit:.1f} the systematic error of a curve is widened ({widened} here). "
         "'sky free' looks along LST as well, and lets sky and pattern differ by what is known of them: 1 or less if "
         "they explain the rest. A misfit is where even that is less probable than 1e-6, where a likely mistake is "
-        f"named, and the other curves of a station half of whose are one ({misfits} here)."
+        f"named, where gains follow sidereal time, and every curve of a station half of whose are one ({misfits} here)."
     )
 
 

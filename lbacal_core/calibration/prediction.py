@@ -20,8 +20,10 @@ from typing import Any
 import numpy as np
 
 from lbacal_core.calibration.one_event import compare_paths
+from lbacal_core.calibration.singles import MIN_EVENTS
 from lbacal_core.curves.covariance import Budget
 from lbacal_core.curves.curves import CalibrationCurve
+from lbacal_core.data.prior import read_prior
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, guess_widths
 from lbacal_core.instrument.instrument import Instrument
@@ -32,14 +34,11 @@ from lbacal_core.sky.sources import point_source_power, response_towards
 from lbacal_core.sky.table import read_at
 from lbacal_core.spectra.blocks import iterate_blocks
 from lbacal_core.spectra.spectra import Spectra
+from lbacal_core.traces.trace import BLOCK_SAMPLES
 from lbacal_core.traces.voltage import statistical_errors, systematic_errors
 
-EVENT_GAIN = 0.05
-"""Standard deviation of the gain of an event, flat along frequency (Mulrey et al. 2019, section 5)."""
-BLOCK_US = 5.12
-"""Duration of a block of 1024 samples at 200 MHz, microseconds."""
-FEWEST_EVENTS = 60
-"""Events of a path from which its noise is measured; a variance is then known to 18 %."""
+BLOCK_US = BLOCK_SAMPLES / 200.0
+"""Duration of a block at 200 MHz, microseconds."""
 RINGS, SPOKES = 48, 64
 """Directions over which a pattern is integrated; the patterns that ship vary by less than six waves over the sky."""
 
@@ -65,16 +64,16 @@ class EventNoise:
     @classmethod
     def expected(cls, frequency_mhz: Floats, blocks: int = 100) -> EventNoise:
         """The published gain of an event, and the radiometer equation: variance 1 / (width x duration)."""
-        own = 1.0 / (guess_widths(frequency_mhz) * blocks * BLOCK_US)
-        said = f"gain of an event {EVENT_GAIN:.0%} as published for LOFAR; radiometer equation for {blocks} blocks"
-        return cls(np.full((1, frequency_mhz.size), EVENT_GAIN), own, said)
+        own, gain = 1.0 / (guess_widths(frequency_mhz) * blocks * BLOCK_US), read_prior()["path_gain"].size
+        said = f"gain of an event {gain:.0%} as published for LOFAR; radiometer equation for {blocks} blocks"
+        return cls(np.full((1, frequency_mhz.size), gain), own, said)
 
     @classmethod
     def measured(cls, curve: CalibrationCurve, spectra: Spectra, simulation: Simulation) -> EventNoise | None:
-        """That of the events that a path's curve was fitted to; None for fewer than `FEWEST_EVENTS`."""
+        """That of the events that a path's curve was fitted to; None for fewer than a fit needs."""
         for block in iterate_blocks(spectra):
             for row, one, ratio in compare_paths(block, [curve], simulation):
-                if block.antennas[row] == curve.antenna and len(ratio) >= FEWEST_EVENTS:
+                if block.antennas[row] == curve.antenna and len(ratio) >= MIN_EVENTS:
                     shared, own = _split(np.cov(ratio[:, one.has_value], rowvar=False), len(ratio))
                     return cls(shared, own, f"measured in {len(ratio)} events of this path")
         return None

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from sqlalchemy import Row, and_, func, or_, select, update
 
-from lbacal.instants import DAY_US
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.provenance import canonical_json
 from service.errors import NotFoundError
 from service.schema.tables import alarm
+from service.storage.changes import is_same_date
 from service.storage.rows import Store, from_row, scope_columns
 
 STEP = "step"
@@ -29,9 +28,6 @@ KINDS = (STEP, SLOPE, LOST_PATH, STALE_DATA, MISFIT, NAMED_CAUSE, CAUSE_STOPPED_
 
 OPEN, ACKNOWLEDGED, ENDED = "open", "acknowledged", "ended"
 STATES = (OPEN, ACKNOWLEDGED, ENDED)
-
-SAME_SIGMA = 3.0
-"""Standard deviations of the difference of two dates within which they are the date of one problem."""
 
 
 @dataclass(frozen=True)
@@ -198,8 +194,7 @@ def _is_same(one: News, other: News) -> bool:
         return False
     if one.since is None or other.since is None:
         return one.since is other.since
-    error = math.hypot(one.since_error_us, other.since_error_us)
-    return abs(one.since - other.since) <= SAME_SIGMA * error + DAY_US
+    return is_same_date((one.since, one.since_error_us), (other.since, other.since_error_us))
 
 
 def _distance(one: News, other: News) -> int:

@@ -9,6 +9,7 @@ that ended and every decision stay on record.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -31,6 +32,11 @@ SAME_DATE = 3.0
 """Standard deviations of the difference of two dates within which they are one."""
 LARGEST_DATE_ERROR_US = 30 * DAY_US
 """A change whose date is known worse is told, and cuts no window."""
+
+
+def is_same_date(one: tuple[Instant, Instant], other: tuple[Instant, Instant]) -> bool:
+    """Whether two dates, each with its error, are one: they agree within a day and their errors."""
+    return abs(one[0] - other[0]) <= SAME_DATE * math.hypot(one[1], other[1]) + DAY_US
 
 
 @dataclass(frozen=True)
@@ -79,8 +85,7 @@ class Change:
         if (self.station, self.kind) != (other.station, other.kind):
             return False
         has_common = bool(set(self.antennas) & set(other.antennas)) or not (self.paths or other.paths)
-        reach = SAME_DATE * (self.sigma**2 + other.sigma**2) ** 0.5 + DAY_US
-        return has_common and abs(self.date - other.date) <= reach
+        return has_common and is_same_date((self.date, self.sigma), (other.date, other.sigma))
 
 
 @dataclass(frozen=True)
