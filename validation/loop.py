@@ -307,4 +307,4 @@ def judge(rows: Sequence[Row]) -> list[Found]:
     ]
 
 
-PARTS = (Part("postgresql", partial(close_loop, "postgresql", SETTINGS), judge, 20, by("fault"), ("pulls",)),)
+PARTS = (Part("together", partial(close_loop, "postgresql", SETTINGS), judge, 20, by("fault"), ("pulls",)),)

@@ -20,8 +20,8 @@ LARGEST_SHARE_LEFT_OUT = 0.5
 
 Owner = tuple[str, int]
 """Station and antenna."""
-Cuts = Mapping[Owner, Sequence[float]]
-"""When antennas changed, s UTC, that the instrument does not know of."""
+Cuts = Mapping[tuple[str, int | None], Sequence[float]]
+"""When antennas changed, or (None) all of a station, s UTC, that the instrument does not know of."""
 NO_CUTS: Cuts = {}
 
 
@@ -56,13 +56,13 @@ def cut_window(
     cuts
         Beside what the instrument says; an antenna of which it names a change in the window keeps to these.
     """
-    inside = {owner: tuple(d for d in sorted(dates) if since_unix < d < until_unix) for owner, dates in cuts.items()}
-    for owner, dates in find_hardware_changes(instrument).items():
-        known = tuple(date for date in dates if since_unix < date < until_unix)
-        if known:
-            inside[owner] = known
     owners, owner_at = _find_owners(spectra)
-    changed = {owner: inside[owner] for owner in owners if inside.get(owner)}
+    known, changed, ends = find_hardware_changes(instrument), dict[Owner, tuple[float, ...]](), (since_unix, until_unix)
+    for owner in owners:
+        own = _inside(known.get(owner, ()), *ends) or _inside(cuts.get(owner, ()), *ends)
+        of_station = _inside(cuts.get((owner[0], None), ()), *ends)
+        if own or of_station:
+            changed[owner] = tuple(sorted({*own, *of_station}))
     if not changed:
         return [Piece(since_unix, until_unix, np.ones(len(spectra), dtype=bool))]
     has_changed = np.array([owner in changed for owner in owners])[owner_at]
@@ -73,6 +73,10 @@ def cut_window(
         return rest
     edges = [since_unix, *sorted({date for dates in changed.values() for date in dates}), until_unix]
     return list(_pieces(spectra, np.ones(len(spectra), dtype=bool), edges))
+
+
+def _inside(dates: Sequence[float], since_unix: float, until_unix: float) -> list[float]:
+    return [date for date in dates if since_unix < date < until_unix]
 
 
 def leave_out_changed(spectra: Spectra, instrument: Instrument) -> Spectra | None:

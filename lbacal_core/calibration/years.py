@@ -37,6 +37,8 @@ MOST_ROUNDS, SMALLEST_STEP = 12, 1e-4
 GAIN_SIGMAS, OTHER_SIGMAS = (0.3, 0.03, 0.03), (1.0, 0.5, 0.1)
 """Standard deviations of ln of the gain between two windows, and of its tilt and curvature at the band's end; where the
 hardware is another, which may have a cable that nobody entered (80 m in place of 50 m: -0.76, -0.18, 0.01)."""
+FARTHEST = 5.0
+"""Standard deviations beyond which a gain is no gain: a path that is dead in one of two windows (1e-4 of the power)."""
 FEWEST_EVENTS = 5
 """Fewer know the gain of a window no better than 2.5 %."""
 
@@ -114,12 +116,15 @@ def solve_together(
     if at.size == 0:
         return Together(alone, is_free, windows, chi2_per_dof)
     others = [one.take(at) for one in others if np.any(one.has_lines)]
-    solution, free, chi2 = _solve(lines.select(at), others, alone.take(at), terms, gain_modes(frequency_mhz))
+    solution, free, chi2, is_settled = _solve(
+        lines.select(at), others, alone.take(at), terms, gain_modes(frequency_mhz)
+    )
     dof = count[at] * (lines.information.shape[1] - len(GAIN_SIGMAS))
     # what a small window borrows is never quite its own: where that shows, its error grows with it
     excess = np.where(is_small[at], np.maximum(chi2 / dof, 1.0), 1.0)
     solution = replace(solution, covariance=solution.covariance * excess[:, None, None])
-    is_joined = solution.is_converged & solution.is_identifiable & (is_small[at] | ~is_improbable(chi2, dof))
+    is_joined = is_settled & solution.is_converged & solution.is_identifiable
+    is_joined &= is_small[at] | ~is_improbable(chi2, dof)
     chi2_per_dof[at] = chi2 / dof
     at, is_free = at[is_joined], is_free.copy()
     windows[at] += count[at]
@@ -129,10 +134,11 @@ def solve_together(
 
 def _solve(
     lines: Lines, others: Sequence[_Other], solution: SeparableSolution, terms: Intercepts, shapes: Floats
-) -> tuple[SeparableSolution, Booleans, Floats]:
-    """The solution, which intercepts are free, and chi^2 of all lines against one line for each channel."""
+) -> tuple[SeparableSolution, Booleans, Floats, NDArray[np.bool_]]:
+    """The solution, which intercepts are free, chi^2 of all lines against one a channel, and whether gains settle."""
     own = np.concatenate([lines.slope, lines.intercept], axis=1)
     gains = [np.zeros((len(own), len(shapes))) for _ in others]
+    limits = [FARTHEST * one.sigmas for one in others]
     for _ in range(MOST_ROUNDS):
         parts = [_integrate(one, gain, solution, terms, shapes) for one, gain in zip(others, gains, strict=True)]
         together = [(own, lines.information), *((one.measured, one.information) for one in parts)]
@@ -142,11 +148,13 @@ def _solve(
         slope, intercept = np.split(mean, 2, axis=1)
         solution, is_free = solve_without_interference(slope, intercept, information, terms)
         model = np.concatenate([solution.x, terms.on_line(solution.x, solution.n, solution.q)], axis=1)
-        before, gains = gains, [np.einsum("pmi,pi->pm", one.along, one.measured - model) for one in parts]
-        if np.max(np.abs(np.subtract(gains, before))) < SMALLEST_STEP:
+        found = [np.einsum("pmi,pi->pm", one.along, one.measured - model) for one in parts]
+        before, gains = gains, [np.clip(one, -most, most) for one, most in zip(found, limits, strict=True)]
+        if np.max(step := np.max(np.abs(np.subtract(gains, before)), axis=(0, 2))) < SMALLEST_STEP:
             break
+    is_settled = (step < SMALLEST_STEP) & np.all(np.abs(gains) < limits, axis=(0, 2))
     left = [np.einsum("pi,pij,pj->p", one - mean, weight, one - mean) for one, weight in together]
-    return solution, is_free, np.sum(left, axis=0)
+    return solution, is_free, np.sum(left, axis=0), is_settled
 
 
 def pick_beside(beside: Sequence[Beside], owner: Owner) -> list[Beside]:

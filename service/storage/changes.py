@@ -88,16 +88,20 @@ class Change:
         return has_common and is_same_date((self.date, self.sigma), (other.date, other.sigma))
 
 
+LARGEST_TAKEN_OUT = math.log(2.0)
+"""Ln of the power beyond which a change is not taken out of a mean: what is dead, or 3 dB lower, adds its noise."""
+
+
 @dataclass(frozen=True)
 class Cut:
-    """A date at which the windows of an antenna are cut, both dipoles alike.
+    """A date at which the windows of an antenna are cut, both dipoles alike; of all of a station where it is None.
 
     `dipoles` are those that changed, None for both, and `power` is theirs after it over that before; None where the
     size of the change is not known.
     """
 
     station: str
-    antenna: int
+    antenna: int | None
     date: Instant
     dipoles: tuple[str, ...] | None = None
     power: float | None = None
@@ -175,7 +179,12 @@ class KeptChange:
         if not (self.stands and is_sharp) or any(by.source == RECORD and by.ended is None for by in self.evidence):
             return []
         power = None if one.size is None else (1.0 + one.size) ** -2.0  # C^2 is proportional to 1 / power
-        return [Cut(str(one.station), antenna, one.date, one.dipoles_of(antenna), power) for antenna in one.antennas]
+        power = None if power is None or abs(math.log(power)) > LARGEST_TAKEN_OUT else power
+        if one.station is None:
+            return []
+        cut = Cut(one.station, None, one.date, None, power)
+        who = [replace(cut, antenna=number, dipoles=one.dipoles_of(number)) for number in one.antennas]
+        return who if one.paths else [cut]
 
     def seen_at(self, as_of: Instant) -> KeptChange:
         """The same with the evidence that there was at an instant."""
@@ -211,7 +220,7 @@ class ChangeStore(Store):
         """Where windows are cut, inside a window, in order of station, antenna and date."""
         found = [cut for one in self.kept(station, as_of) for cut in one.cuts]
         inside = [cut for cut in found if (since is None or cut.date > since) and (until is None or cut.date < until)]
-        return sorted(inside, key=lambda cut: (cut.station, cut.antenna, cut.date))
+        return sorted(inside, key=lambda cut: (cut.station, -1 if cut.antenna is None else cut.antenna, cut.date))
 
     def last_act(self, station: str | None, since: Instant, until: Instant) -> list[int]:
         """How many sources of changes in a window ended, and the number of the last decision: nothing where none did.

@@ -262,8 +262,9 @@ def _by_antenna(cuts: Iterable[Cut]) -> dict[tuple[str | None, int | None], list
 
 def _find_change(promotion: Promotion, cuts: Mapping[tuple[str | None, int | None], Sequence[Cut]]) -> str | None:
     """What to know of a path's own version that answers on both sides of a change."""
-    of_antenna = cuts.get((promotion.scope.station, promotion.scope.antenna), ())
-    return next((cut.warning for cut in of_antenna if cut.is_bridged_by(promotion)), None)
+    station, antenna = promotion.scope.station, promotion.scope.antenna
+    own = [cut for key in {(station, None), (station, antenna)} for cut in cuts.get(key, ())]
+    return next((cut.warning for cut in own if cut.is_bridged_by(promotion)), None)
 
 
 def _pick_decisive(asked: Mapping[Scope, Sequence[Promotion]]) -> dict[Scope, Promotion]:

@@ -50,7 +50,7 @@ WORDS = {IN_FORCE: "in force", DISMISSED: "dismissed"}
 def mark_refitted(stores: Stores, changes: Sequence[KeptChange], dipoles: Collection[str]) -> list[KeptChange]:
     """Changes with whether they are refitted: one whose antennas have versions in effect may not be."""
     asked = {
-        (Scope(cut.station, cut.antenna, dipole), at): (one.number, cut)
+        (Scope(cut.station, cut.antenna, None if cut.antenna is None else dipole), at): (one.number, cut)
         for one in changes for cut in one.cuts for dipole in dipoles for at in (cut.date - 1, cut.date)
     }  # fmt: skip
     said = stores.ledger.decisive_at(asked)
@@ -58,13 +58,15 @@ def mark_refitted(stores: Stores, changes: Sequence[KeptChange], dipoles: Collec
     return [replace(one, is_refitted=one.number not in waiting) for one in changes]
 
 
-def propose(made: Investigation) -> Iterator[tuple[Change, Evidence]]:
+def propose(made: Investigation, instrument: Instrument) -> Iterator[tuple[Change, Evidence]]:
     """What an investigation found along the date, as a change; anything else that it found is a cause of the model."""
+    every = {(path.antenna, path.dipole) for path in select_paths(instrument, made.station, None, None)}
     for number, finding in enumerate(made.report["findings"]):
         if not (follows_date(finding["cause"], finding["parameters"]) and "date_unix" in finding["parameters"]):
             continue
         where, size = finding["where"], finding["size"]
         paths = tuple((antenna, dipole) for antenna in where["antennas"] for dipole in where["dipoles"])
+        paths = () if every <= set(paths) else paths
         date = round(finding["parameters"]["date_unix"] * 1_000_000)
         change = Change(made.station, paths, STEP, date, INVESTIGATED_SIGMA_US)
         if finding["cause"] == GAIN_STEP:
@@ -123,12 +125,11 @@ class Changes:
         from service.usecases.fits import Wanted
 
         fits, versions = self.find_fits(), list[Version]()
-        scopes = [
-            Scope(change.station, antenna, dipole) for antenna in change.antennas for dipole in self.instrument.dipoles
-        ]
+        paths = select_paths(self.instrument, change.station, None, None)
+        scopes = [path for path in paths if not change.paths or path.antenna in change.antennas]
         with self.database.read() as stores:
             model = stores.models.during(change.station, *window)
-            for of in scopes if len(change.antennas) <= FITTED_ONE_BY_ONE else [Scope(change.station)]:
+            for of in scopes if 0 < len(change.antennas) <= FITTED_ONE_BY_ONE else [Scope(change.station)]:
                 wanted = Wanted("antenna", of, *window, model, by, "", tuple(cuts))
                 try:
                     spectra = fits.load(stores, wanted)
@@ -152,8 +153,6 @@ class Changes:
         if station is not None:
             select_paths(self.instrument, station, None, None)
         paths = [(one.antenna, one.dipole) for one in body.paths or ()]
-        if body.station is not None:
-            paths = [(one.antenna, None) for one in self.instrument.antennas if one.station == body.station]
         size = (None, None) if body.size is None else (body.size.value, body.size.sigma)
         date = parse_instant("body.at.value", body.at.value)
         return Change(station, tuple(dict.fromkeys(paths)), body.kind, date, round(body.at.sigma_days * DAY_US), *size)

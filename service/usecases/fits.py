@@ -76,13 +76,17 @@ class Wanted:
     @property
     def taken_out(self) -> list[Cut]:
         """What is taken out of a mean, which then is that of its antennas before they changed."""
-        return [one for one in self.changed if self.scope != "antenna" and one.power is not None]
+        return [one for one in self.changed if self._is_part(one) and one.power is not None]
 
     @property
     def cuts(self) -> list[Cut]:
         """Where the window is cut."""
         inside = [one for one in self.changed if self.since < one.date]
-        return [one for one in inside if self.scope == "antenna" or one.power is None]
+        return [one for one in inside if one.power is None or not self._is_part(one)]
+
+    def _is_part(self, one: Cut) -> bool:
+        """Whether what changed is a part of what is fitted: an antenna of a station, a station of the array."""
+        return self.scope == "array" or (self.scope == "station" and one.antenna is not None)
 
     @property
     def named(self) -> list[list[Any]]:
@@ -160,7 +164,7 @@ class Fits:
         of = Scope(wanted.of.station)
         pieces = self._find_pieces(stores, wanted.scope, of, wanted.since, wanted.until)
         found = [KeptWindow(piece.since, piece.until, piece.lines) for piece in pieces]
-        changes: dict[tuple[str, int], list[Instant]] = {}
+        changes: dict[tuple[str, int | None], list[Instant]] = {}
         behind: dict[Owner, tuple[Floats, str]] = {}
         for station in {one.station for one in wanted.taken_out}:
             behind |= self._find_behind(stores, Scope(station))
@@ -339,11 +343,14 @@ def _take_out(whole: FittedCauses, wanted: Wanted, neighbours: Neighbours) -> Fi
     spectra, power = whole.recorded, whole.recorded.power.copy()
     for one in wanted.taken_out:
         for dipole in one.dipoles or np.unique(spectra.dipole).tolist():
-            rows = (spectra.station == one.station) & (spectra.antenna == one.antenna) & (spectra.dipole == dipole)
-            rows &= spectra.time_unix >= one.date / SECOND_US
-            behind, _ = neighbours.behind.get((one.station, one.antenna, dipole), (np.zeros(power.shape[1]), ""))
-            signal = np.maximum(power[rows] - behind, 0.0)
-            power[rows] += signal * (1.0 / float(one.power or 1.0) - 1.0)
+            is_later = (spectra.station == one.station) & (spectra.dipole == dipole)
+            is_later &= spectra.time_unix >= one.date / SECOND_US
+            every = np.unique(spectra.antenna[is_later]).tolist()
+            for antenna in every if one.antenna is None else [one.antenna]:
+                rows = is_later & (spectra.antenna == antenna)
+                behind, _ = neighbours.behind.get((one.station, antenna, dipole), (np.zeros(power.shape[1]), ""))
+                signal = np.maximum(power[rows] - behind, 0.0)
+                power[rows] += signal * (1.0 / float(one.power or 1.0) - 1.0)
     return replace(whole, unchanged=power)
 
 
@@ -420,9 +427,9 @@ def _explain_repeated(curves: Sequence[CalibrationCurve]) -> list[str]:
     return told
 
 
-def _list_cuts(wanted: Wanted) -> dict[tuple[str, int], list[float]]:
-    """Dates of cuts, s UTC, by station and antenna."""
-    found: dict[tuple[str, int], list[float]] = {}
+def _list_cuts(wanted: Wanted) -> dict[tuple[str, int | None], list[float]]:
+    """Dates of cuts, s UTC, by station and antenna; None for all of a station."""
+    found: dict[tuple[str, int | None], list[float]] = {}
     for one in wanted.cuts:
         found.setdefault((one.station, one.antenna), []).append(one.date / SECOND_US)
     return found

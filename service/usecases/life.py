@@ -81,7 +81,7 @@ def split_epochs(scope: Scope, changes: Iterable[KeptChange]) -> list[Epoch]:
     dates = {
         one.change.date: one.number
         for one in changes
-        if (one.cuts if scope.antenna is not None else one.stands and not one.change.paths)
+        if one.cuts and (scope.antenna is not None or not one.change.paths)
     }
     edges = sorted(dates)
     starts: list[Instant | None] = [None, *edges]

@@ -133,8 +133,9 @@ def settle_changes(stores: Stores, report: Mapping[str, Any], now: Instant) -> N
 
 
 def read_change(told: Mapping[str, Any]) -> Change:
-    """A change of a report: what steps together at a date is one."""
-    paths = tuple((one["antenna"], one["dipole"]) for one in told["members"] if one["antenna"] is not None)
+    """A change of a report: what steps together at a date is one, that of a station's median one of all its paths."""
+    is_whole = any(one["antenna"] is None for one in told["members"])
+    paths = () if is_whole else tuple((one["antenna"], one["dipole"]) for one in told["members"])
     date, sigma = round(told["date_unix"] * SECOND_US), round(told["date_sigma_days"] * DAY_US)
     return Change(told["station"], paths, STEP, date, sigma, told["size"], told["sigma"])
 

@@ -37,14 +37,14 @@ class KeptWindow:
 
 @dataclass(frozen=True)
 class Neighbours:
-    """The other windows of a scope, and when antennas changed, by station and antenna, in any year.
+    """The other windows of a scope, and when antennas, or (None) all of a station changed, in any year.
 
     `behind` is what is added behind N_RCU in single paths, shape (freq,), for means from which changes are taken out,
     and the hash of the spectra that say so.
     """
 
     windows: Sequence[KeptWindow]
-    changes: Mapping[tuple[str, int], Sequence[Instant]]
+    changes: Mapping[tuple[str, int | None], Sequence[Instant]]
     behind: Mapping[Owner, tuple[Floats, str]]
 
     def beside(self, since: Instant, until: Instant) -> list[tuple[KeptWindow, Beside]]:
@@ -53,12 +53,10 @@ class Neighbours:
         return [(one, Beside(of, self._is_same(of, one, since, until))) for one in ranked for of in one.lines]
 
     def _is_same(self, of: KeptLines, one: KeptWindow, since: Instant, until: Instant) -> NDArray[np.bool_]:
-        """Whether nothing is known to have changed between two windows, path by path; of a mean it is taken out."""
+        """Whether nothing is known to have changed between two windows; of a mean what single ones do is taken out."""
         first, last = min(one.until, until), max(one.since, since)
-        dates = [
-            () if antenna is None else self.changes.get((str(station), antenna), ())
-            for station, antenna, _ in of.owners
-        ]
+        asked = [{(str(station), None), (str(station), antenna)} for station, antenna, _ in of.owners]
+        dates = [[date for key in keys for date in self.changes.get(key, ())] for keys in asked]
         return np.array([not any(first <= date <= last for date in found) for found in dates])
 
     def and_also(self, window: KeptWindow) -> Neighbours:

@@ -42,5 +42,5 @@ def test_the_size_is_that_planted_and_the_gain_on_the_next_year_what_was_promise
 
 def test_the_judgement_refutes_a_loop_that_does_not_close(row: Row) -> None:
     broken = [{**row, "wrong": 4.0, "left": "unexplained", "gain": [0.0, *row["gain"][1:]], "is_restored": False}] * 20
-    verdict = verdicts_of("loop", "postgresql", [row, *broken])
+    verdict = verdicts_of("loop", "together", [row, *broken])
     assert [verdict[key] for key in ("right", "left", "gain", "restored")] == ["refuted"] * 4

@@ -94,3 +94,15 @@ def test_changes_are_those_of_the_records():
     instrument = make_instrument({2: 30.0})
     assert find_hardware_changes(instrument) == {("CS001", 2): (ZERO + 30.0,)}
     assert find_hardware_changes(replace(instrument, antennas=instrument.antennas[:2])) == {}
+
+
+def test_where_a_whole_station_changed_paths_and_mean_are_cut(spectra):
+    everything = {("CS001", None): [ZERO + 40.0], ("CS001", 1): [ZERO + 70.0]}
+    of_paths = cut_window(spectra, make_instrument({2: 30.0}), "antenna", ZERO, ZERO + 100.0, everything)
+    told = [(p.since_unix - ZERO, p.until_unix - ZERO, sorted(set(spectra.antenna[p.rows].tolist()))) for p in of_paths]
+    assert told == [
+        (0, 30, [2]), (30, 40, [2]), (40, 100, [2]), (0, 40, [0, 3]), (40, 100, [0, 3]),
+        (0, 40, [1]), (40, 70, [1]), (70, 100, [1]),
+    ]  # fmt: skip
+    of_mean = cut_window(spectra, make_instrument({}), "station", ZERO, ZERO + 100.0, {("CS001", None): [ZERO + 40.0]})
+    assert [(p.since_unix - ZERO, p.until_unix - ZERO) for p in of_mean] == [(0, 40), (40, 100)]

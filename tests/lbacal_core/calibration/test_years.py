@@ -147,6 +147,18 @@ def test_a_window_too_small_for_a_fit_has_the_chain_of_another_through_its_own_c
     assert {curve.status for curve in found.curves} == {"too_few_events"}, "4 events know no gain"
 
 
+def test_a_path_that_is_dead_in_one_window_borrows_and_lends_nothing(scene, years, alone):
+    """A gain of 1e-4 between two windows sent Gauss and Newton to infinity, and the whole station's refit failed."""
+    few = draw_year(scene, 1, events=40, days=60.0)
+    dead = replace(few, power=1e-4 * few.power)
+    found = fit_calibration(dead, scene.simulation, "antenna", beside(alone["antenna"], 1, is_same=False))
+    assert {curve.status for curve in found.curves} <= {"too_few_events", "not_identifiable"}
+    whole = fit_calibration(replace(years[1], power=1e-4 * years[1].power), scene.simulation)
+    now = fit_calibration(years[0], scene.simulation, "antenna", beside([None, whole], 0))
+    for by_itself, curve in zip(alone["antenna"][0].curves, now.curves, strict=True):
+        assert np.array_equal(by_itself.c, curve.c)
+
+
 def test_later_events_continue_a_fit_of_several_years(scene, years, alone):
     number = np.array([int(name[-5:]) for name in years[0].event_id])
     before, new = (years[0].select(rows) for rows in (number < 290, number >= 290))

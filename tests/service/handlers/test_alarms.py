@@ -102,7 +102,7 @@ def test_one_change_is_one_row_whoever_found_it(factory: Factory, client: TestCl
     far = client.post(
         "/v1/changes", json={"station": "CS001", "at": {"value": "2014-09-02"}, "reason": "a storm"}
     ).json()
-    assert (len(far["paths"]), far["decision"], far["cuts_windows"]) == (3, "in_force", True)
+    assert (far["paths"], far["station"], far["decision"], far["cuts_windows"]) == (None, "CS001", "in_force", True)
     for wrong in ({"station": "CS002", "array": True}, {}, {"paths": [{"station": "CS002", "antenna": 99}]}):
         assert (
             client.post("/v1/changes", json={"at": {"value": "2014-05-02"}, "reason": "x", **wrong}).status_code == 422

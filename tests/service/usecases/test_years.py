@@ -149,3 +149,31 @@ def test_c_is_right_on_both_sides_of_a_step_after_every_night_and_decision(
         assert all("repeated" not in curve for curve in alone), "the year by itself stays available"
         night(factory)
         told.require_right()
+
+
+def test_what_a_whole_station_did_at_a_date_cuts_its_paths_and_its_mean(
+    make_service: Callable[..., Factory], superterp: Instrument, sky_power_file: Path
+) -> None:
+    """One antenna's step is taken out of the mean; that of all of them is the mean's."""
+    settings = TwinSettings(stations=("CS002",), antennas=4, years=1.99, events_per_year=200)
+    step = GainStep(size=POWER - 1.0, date="2014-09-01")
+    sky = read_sky_power(sky_power_file)
+    campaign = simulate_campaign(settings, superterp, sky, np.random.default_rng(11), [step])
+    factory = make_service(campaign.spectra, lease_s=60.0, gate_change=0.9, gate_error=0.5)
+    with served(factory) as http:
+        told = Answers(factory, http, campaign)
+        night(factory)
+        body = {"station": "CS002", "at": {"value": "2014-09-01", "sigma_days": 1}, "reason": "another attenuator"}
+        assert http.post("/v1/changes", json=body).json()["cuts_windows"]
+        night(factory)
+        assert http.get("/v1/changes").json()["changes"][0]["refitted"]
+        for at, power in (("2014-06-15", 1.0), ("2014-11-15", POWER), ("2015-06-15", POWER)):
+            for path in ((0, "X"), (3, "Y")):
+                ratio, sigma, _ = told.c(at, path)
+                pull = np.log(ratio * power**0.5) / np.hypot(sigma, 0.002)
+                assert np.sqrt(np.mean(pull**2)) < 3.0, (at, path, np.mean(ratio))
+        (c, sigma), (later, error) = told.station("2014-06-15"), told.station("2015-06-15")
+        off = np.log(later / c) + 0.5 * np.log(POWER)
+        assert np.sqrt(np.mean((off / np.hypot(sigma / c, error / later)) ** 2)) < 3.0, "the mean is cut there too"
+        assert told.station("2014-11-15")[0] == pytest.approx(later, rel=0.02)
+        assert http.get("/v1/stations/CS002/life").json()["epochs"][1]["from"][:10] == "2014-09-01"
