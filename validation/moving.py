@@ -2,8 +2,9 @@
 
 A service holds three years of a station of 4 or 8 antennas, simulated by the twin, in which something moves: a step,
 another cable, another antenna, a ramp, a season, a path that is dead for a year, or several of these at once; in one
-antenna (one dipole or both) or in all. Nights pass until nothing is due, then C is asked for as a pipeline does. The
-sky is the simulation's, so that what is told must be right within its statistical error.
+antenna (one dipole or both) or in all. Nights pass until nothing is due, then C is asked for as a pipeline does. What a
+whole station did at a date is in its log book: there is no other to compare it with. The sky is the simulation's, so
+that what is told must be right within its statistical error.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.polynomial import legendre
 
+from lbacal.instants import format_instant
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.curves.validity import Scope
 from lbacal_core.grids import Floats
@@ -33,6 +35,7 @@ from service.logs import configure_logs
 from service.scheduler import look_for_due_work
 from service.storage.changes import IN_FORCE, Change
 from service.storage.migration import upgrade
+from service.wire.bodies import ChangeBody
 from validation.loop import Service
 from validation.machinery.claims import Found, mean_of, rate_of
 from validation.machinery.parts import Part, Row
@@ -178,6 +181,8 @@ def _pass(service: Service, seed: int) -> Row:
     upgrade(factory.database)
     with factory.database.write() as stores:
         stores.spectra.add(moving.campaign.spectra)
+    if who == "station":
+        _enter(factory, moving.moves[0])
     nights = 0
     while nights < NIGHTS and look_for_due_work(factory):
         service.work()
@@ -195,8 +200,16 @@ def _pass(service: Service, seed: int) -> Row:
         "kind": kind, "who": who, "antennas": antennas, "nights": nights, "pulls": pulls,
         "station": None if before is None or after is None else _pull(*after, before[0]),
         "moves": [[m.kind, round(m.date), np.round(m.shape, 4).tolist(), round(m.metres, 2)] for m in moving.moves],
-        "found": [[c.kind, len(c.paths), round(c.date / 1e6), round(c.sigma / 1e6), m] for c, m in matched],
+        "found": [[c.paths, round(c.date / 1e6), round(c.sigma / 1e6), m] for c, m in matched],
     }  # fmt: skip
+
+
+def _enter(factory: Factory, move: Moved) -> None:
+    """What the log book of the station says."""
+    if move.kind not in ("ramp", "season"):
+        at = {"value": format_instant(round(move.date * 1e6)), "sigma_days": 0.1}
+        body = ChangeBody.model_validate({"station": STATION, "at": at, "reason": "log book"})
+        factory.changes.enter(body, "log book")
 
 
 def _ask(factory: Factory, path: Scope, at: float) -> tuple[Floats, Floats] | None:
@@ -246,14 +259,14 @@ def judge(rows: Sequence[Row]) -> list[Found]:
             within = np.array([np.mean(np.abs(one) < 2.0) for one in told if one is not None])
             found.append(mean_of(f"{name}_{when}", within))
     single = [row["station"] for row in rows if row["who"] != "station" and row["station"] is not None]
-    matched = [(row["moves"][one[4]], one) for row in rows for one in row["found"] if one[4] is not None]
-    dated = [abs(one[2] - move[1]) < 2 * one[3] for move, one in matched if move[0] != "dead"]
+    matched = [(row["moves"][one[3]], one) for row in rows for one in row["found"] if one[3] is not None]
+    dated = [abs(one[1] - move[1]) < 2 * one[2] for move, one in matched if one[0] and move[0] != "dead"]
     return [
         *found,
         rate_of("answered", sum(None not in row["pulls"].values() for row in rows), len(rows)),
         rate_of("mean", sum(np.abs(one).max() < 0.3 for one in single), len(single)),
         rate_of("dates", sum(dated), len(dated)),
-        rate_of("unplanted", sum(any(one[4] is None for one in row["found"]) for row in rows), len(rows)),
+        rate_of("unplanted", sum(any(one[3] is None for one in row["found"]) for row in rows), len(rows)),
     ]
 
 
