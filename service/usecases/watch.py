@@ -157,7 +157,7 @@ def tell_news(report: Mapping[str, Any], frequency_mhz: Floats, *, cuts_windows:
             f"on {format_instant(since)[:10]} ± {change['date_sigma_days']:.1f} days"
         )
         own = read_change(change)
-        is_cut = cuts_windows and bool(own.paths) and own.sigma <= LARGEST_DATE_ERROR_US
+        is_cut = cuts_windows and own.sigma <= LARGEST_DATE_ERROR_US
         sentence += "; its windows are cut there unless a person dismissed the change" if is_cut else ""
         content = {**change, "proposal": _propose(change, format_instant(since))}
         yield News(STEP, Scope(change["station"]), "", sentence, content, since, error)
