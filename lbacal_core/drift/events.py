@@ -25,7 +25,7 @@ from lbacal_core.grids import Floats
 from lbacal_core.linear import solve_symmetric
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.blocks import SpectraBlock
-from lbacal_core.spectra.screening import FEWEST_EVENTS, may_be_left_out, robust_sigma
+from lbacal_core.spectra.screening import DEAD, FEWEST_EVENTS, may_be_left_out, robust_sigma
 
 MODES = ("gain", "tilt", "curvature")
 """What is followed: ln C in the mean over the band, and the coefficients of the Legendre polynomials 1 and 2 in it."""
@@ -67,7 +67,7 @@ def measure_event_modes(
     ratio = (block.power[rows] - behind) / signal
     total = weight.sum(axis=2)
     gain = (weight * ratio).sum(axis=2) / total
-    is_known = block.is_present[rows] & (gain > 0)
+    is_known = block.is_present[rows] & (gain > np.exp(DEAD))  # as in a fit: a dead path has no sky, and no gain
 
     ln_c = np.full((*gain.shape, len(MODES)), np.nan)
     ln_c[is_known, 0] = -0.5 * np.log(gain[is_known])
