@@ -67,9 +67,12 @@ def measure_event_modes(
     ratio = (block.power[rows] - behind) / signal
     total = weight.sum(axis=2)
     gain = (weight * ratio).sum(axis=2) / total
-    is_known = block.is_present[rows] & (gain > np.exp(DEAD))  # as in a fit: a dead path has no sky, and no gain
+    is_present, is_alive = block.is_present[rows], gain > np.exp(DEAD)
+    is_known = is_present & is_alive
 
     ln_c = np.full((*gain.shape, len(MODES)), np.nan)
+    # a dead path records no sky: that it is dead is one step, and its noise is none
+    ln_c[is_present & ~is_alive] = (-0.5 * DEAD, 0.0, 0.0)
     ln_c[is_known, 0] = -0.5 * np.log(gain[is_known])
     ln_c[is_known, 1:] = -0.5 * _fit_modes(ratio / np.where(is_known, gain, 1.0)[:, :, None], weight, modes)[is_known]
     return EventModes(block.antennas[rows], block.time_unix, ln_c)

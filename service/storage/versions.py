@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from sqlalchemy import ColumnElement, Connection, Row, and_, func, select
+from sqlalchemy import ColumnElement, Connection, Row, and_, func, or_, select
 
 from lbacal_core.calibration.spreads import ToldCurve, carry_to_path
 from lbacal_core.curves.covariance import Budget
@@ -110,6 +110,8 @@ def _read_parts(connection: Connection, digests: Iterable[str]) -> Iterable[tupl
             yield row.sha256, row.content
 
 
+BESIDE = "beside"
+"""The input that names the spectra of the other windows that a version was fitted together with."""
 BUDGET = "budget"
 """The input that names a budget which was not computed from the version's own spectra and those around them."""
 CURVES_REMEMBERED = 1200
@@ -246,6 +248,11 @@ class Examined:
     made: Instant
 
 
+def _alike(row: Row[Any]) -> tuple[Any, ...]:
+    inputs = {name: value for name, value in json.loads(row.inputs).items() if name not in (BESIDE, BUDGET)}
+    return row.scope, row.since_us, row.until_us, canonical_json(inputs)
+
+
 class VersionStore(Store):
     """Versions by their id."""
 
@@ -297,6 +304,19 @@ class VersionStore(Store):
             rows = self._connection.execute(select(calibration).where(of_ids)).all()
             found |= {row.id: version for row, version in zip(rows, self._values(rows), strict=True)}
         return found
+
+    def first_alike(self, ids: Collection[str]) -> dict[str, str]:
+        """The version that was made first of the same window and inputs, whatever other windows stood beside, by id."""
+        names = ("id", "scope", "since_us", "until_us", "made_us", "inputs")
+        columns = [calibration.c[name] for name in names]
+        wanted = self._connection.execute(select(*columns).where(calibration.c.id.in_(ids))).all()
+        edges = [calibration.c[name].in_({getattr(row, name) for row in wanted}) for name in names[1:4]]
+        passed = or_(calibration.c.gate.is_(None), calibration.c.id.in_(ids))
+        rows = self._connection.execute(select(*columns).where(*edges, passed)).all() if wanted else []
+        first: dict[tuple[Any, ...], str] = {}
+        for row in sorted(rows, key=lambda row: (row.made_us, row.id)):
+            first.setdefault(_alike(row), row.id)
+        return {row.id: first[_alike(row)] for row in wanted}
 
     def search(self, scope: Scope | None, status: str | None, cursor: str, limit: int) -> list[Version]:
         """Versions with an id after a cursor, in order of id."""

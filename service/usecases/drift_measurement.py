@@ -30,7 +30,8 @@ def find_references(stores: Stores, instrument: Instrument, station: str) -> dic
     """Find for every path of a station its own version that is in effect for its first whole calendar year (UTC).
 
     Where windows are cut in every year, it is the one in effect at the middle of the first. A version that was made and
-    not promoted changes nothing here.
+    not promoted changes nothing here, nor does one that differs by the years beside it alone: what drift finds cuts
+    these years, and it would find something else against another reference, without end.
     """
     antennas = sorted({record.antenna for record in instrument.antennas if record.station == station})
     paths = [Scope(station, antenna, dipole) for antenna in antennas for dipole in instrument.dipoles]
@@ -45,7 +46,9 @@ def find_references(stores: Stores, instrument: Instrument, station: str) -> dic
             if newest.covers(since) and newest.covers(until - 1):
                 found[path] = newest.calibration
             of_cut.setdefault(path, newest.calibration)
-    return of_cut | found
+    found = of_cut | found
+    first = stores.versions.first_alike(found.values())
+    return {path: first[name] for path, name in found.items()}
 
 
 @dataclass(frozen=True)
