@@ -164,10 +164,11 @@ class Client:
 
     def ingest(
         self, spectra: Path | str | Spectra, on_event: Callable[[int, int], None] | None = None
-    ) -> dict[str, int]:
+    ) -> dict[str, Any]:
         """Send spectra in bundles of whole events, leaving out those that the server says it has: it can be run again.
 
-        The server acknowledges each bundle as one: it stores all of it or nothing.
+        The server acknowledges each bundle as one: it stores all of it or nothing. Where it has `warnings`, they are
+        beside the counts.
 
         Parameters
         ----------
@@ -178,20 +179,23 @@ class Client:
         from lbacal_core.spectra.spectra import read_spectra
 
         measured = read_spectra(Path(spectra)) if isinstance(spectra, str | Path) else spectra
-        total = {"received": 0, "stored": 0, "duplicates": 0}
+        total, warned = {"received": 0, "stored": 0, "duplicates": 0}, list[str]()
         events, sent = len(np.unique(measured.event_id)), 0
         bundles = files_of_events(measured, BUNDLE)
         while some := {hashlib.sha256(one[-1]).hexdigest(): one for one in islice(bundles, ASKED_AT_ONCE)}:
-            known = set(self.get("/v1/spectra/receipts", sha256=",".join(some))["stored"])
+            answered = self.get("/v1/spectra/receipts", sha256=",".join(some))
+            known, told = set(answered["stored"]), answered.get("warnings", [])
             for digest, (count, rows, file) in some.items():
                 receipt = {"received": rows, "stored": 0, "duplicates": rows}
                 if digest not in known:
                     receipt = self._transport.request("POST", "/v1/spectra", file=file).json()
                 total = {name: total[name] + receipt[name] for name in total}
+                told += receipt.get("warnings", [])
                 sent += count
                 if on_event:
                     on_event(sent, events)
-        return total
+            warned += told
+        return {**total, "warnings": warned} if warned else total
 
     def refit(
         self, scope: str, since: Any, until: Any, *, reason: str, station: str | None = None,
@@ -251,7 +255,7 @@ def effective(
         return client.effective(station, antenna, dipole, at=at, as_of=as_of, gap=gap, scope=scope, tag=tag)
 
 
-def ingest(spectra: Path | str | Spectra) -> dict[str, int]:
+def ingest(spectra: Path | str | Spectra) -> dict[str, Any]:
     """Send spectra; see `Client.ingest`."""
     with Client() as client:
         return client.ingest(spectra)

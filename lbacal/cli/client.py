@@ -35,6 +35,7 @@ def ingest(spectra: Annotated[Path, typer.Argument(help="Spectra file (HDF5, lba
     """
     with Client() as client, _progress("events") as on_event:
         total = client.ingest(spectra, on_event)
+    print_warnings(total)
     print(f"{total['received']} spectra sent: {total['stored']} stored, {total['duplicates']} there already")
 
 
@@ -121,6 +122,12 @@ def jobs(number: Annotated[int | None, typer.Argument(help="One job; without it 
         found = [client.job(number)] if number is not None else client.get("/v1/jobs", limit=20)["jobs"]
     for job in found:
         print_job(job, most=0 if number is None else SHOWN)
+
+
+def print_warnings(receipt: dict[str, Any]) -> None:
+    """Print what the server warns of when spectra come in."""
+    for sentence in receipt.pop("warnings", []):
+        print(f"lbacal: warning: {sentence}", file=sys.stderr)
 
 
 def print_curve(curve: dict[str, Any]) -> None:

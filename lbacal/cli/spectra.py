@@ -87,10 +87,12 @@ def spectra(
         address = dask or os.environ.get("LBACAL_DASK") or None
         measured = _reduce(work, settings, facts, output, longitude, address, failures)
         if url is not None:
+            from lbacal.cli.client import print_warnings
             from lbacal.client import Client
 
             with Client(url) as client:
                 receipt = client.ingest(measured)
+            print_warnings(receipt)
             print(f"{url}: " + ", ".join(f"{count} {word}" for word, count in receipt.items()))
     if failures:
         raise typer.Exit(1)

@@ -36,6 +36,11 @@ LASTING_EVENTS = 10
 """So many events of a path in a row, four days of a LOFAR year, are a state of the path."""
 LARGEST_SHARE = 0.05
 """A path with a larger share of anomalous spectra has no usual power to compare with, and keeps them all."""
+FAR = float(np.log(3.0))
+"""The daily variation of the sky is a factor of two: so far from the stored power of its path is another gain, or no
+power at all."""
+SHARE_OF_STATE = 0.75
+"""A level that lasts shows in so many spectra: near `FAR` the daily variation hides the others."""
 FEWEST_EVENTS = 20
 """With fewer events the usual power of a path is not known, and nothing is left out."""
 NEARER = 0.8
@@ -122,10 +127,30 @@ def _find_dead(block: SpectraBlock) -> NDArray[np.bool_]:
 
     They are set apart first, because the robust fit of the daily variation does not stand many that are so far off.
     """
-    some = block.power[:, :, :: max(1, block.frequency_mhz.size // _CHANNELS_OF_LEVEL)]
-    level = np.where(block.is_present, np.log(np.median(some, axis=2)), np.nan)
+    level = np.where(block.is_present, measure_level(block.power), np.nan)
     is_judged = block.is_present.sum(axis=1) >= FEWEST_EVENTS
     return np.asarray((np.nan_to_num(level - _median(level)[:, None]) < DEAD) & is_judged[:, None])
+
+
+def measure_level(power: Floats) -> Floats:
+    """The level of spectra, shape (..., freq): ln of the median power of some channels over the band, shape (...)."""
+    some = power[..., :: max(1, power.shape[-1] // _CHANNELS_OF_LEVEL)]
+    return np.asarray(np.log(np.median(some, axis=-1)))
+
+
+def find_lasting(is_far: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which of the spectra of a path that came at another level have shown that its level is that, shape (event,).
+
+    Those of its newest events if from some event on there are `LASTING_EVENTS` of them or more, and `SHARE_OF_STATE`
+    of all; those of its oldest events in the same way.
+    """
+    lasting = np.zeros_like(is_far)
+    for own, found in ((is_far, lasting), (is_far[::-1], lasting[::-1])):
+        since = np.cumsum(own[::-1])[::-1]
+        is_state = own & (since >= LASTING_EVENTS) & (since >= SHARE_OF_STATE * np.arange(own.size, 0, -1))
+        if np.any(is_state):
+            found[np.argmax(is_state) :] |= own[np.argmax(is_state) :]
+    return lasting
 
 
 def _compare_with_usual(block: SpectraBlock, longitude_deg: float) -> tuple[Floats, NDArray[np.bool_]]:

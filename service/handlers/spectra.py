@@ -36,10 +36,12 @@ def store_spectra(request: Request, use: UseCases, _caller: Writer, body: Spectr
     """Store spectra.
 
     A whole batch or nothing, as JSON or as a spectra file (HDF5); sending the same again does no harm. 201 if
-    anything was stored, else 200.
+    anything was stored, else 200. `warnings` name the paths whose level does not belong to what is stored.
     """
     receipt = use.intake.receive(body, is_file=media_type_of(request) == HDF5)
-    return answer(request, fill_answer(ReceiptAnswer, receipt), status=201 if receipt.stored else 200)
+    told = fill_answer(ReceiptAnswer, receipt, warnings=list(receipt.warnings))
+    told = {name: value for name, value in told.items() if value != []}
+    return answer(request, told, status=201 if receipt.stored else 200)
 
 
 @reads(router, "/v1/spectra/receipts", ReceiptsAnswer)
@@ -53,7 +55,9 @@ def list_receipts(
     Those among the named ones, by the SHA-256 of their bytes, whose spectra are all stored: they need not be sent
     again.
     """
-    return answer(request, {"stored": sorted(use.intake.find_receipts(sha256.split(",")))})
+    found = use.intake.find_receipts(sha256.split(","))
+    told = [one for digest in sorted(found) for one in found[digest][1]]
+    return answer(request, {"stored": sorted(found), "warnings": told})
 
 
 @reads(router, "/v1/events", EventsAnswer)
@@ -69,7 +73,8 @@ def list_events(
 ) -> Response:
     """List stored events.
 
-    In order of arrival, with the count of their spectra; `next` is the cursor of the next page.
+    In order of arrival, with the count of their spectra; `next` is the cursor of the next page. The flag `far_level`
+    lists those of which spectra wait because their level does not belong to what was stored.
     """
     start = None if since is None else parse_instant("since", since)
     end = None if until is None else parse_instant("until", until)

@@ -23,6 +23,7 @@ IS_OPEN = text("state IN ('queued', 'running')")
 HAS_FAILED = text("state = 'failed'")
 HAS_SETTLED = text("state IN ('done', 'cancelled')")
 IS_GATED = text("gate IS NOT NULL")
+IS_FAR = text("far IS NOT NULL")
 """Select the few rows that partial indexes hold. A query must use these very words: a parameter does not imply them."""
 
 metadata = MetaData(
@@ -75,6 +76,8 @@ spectrum = Table(
     Column("time_us", BigInteger, nullable=False, comment="within a minute of that of its event"),
     Column("blocks", Integer, nullable=False),
     Column("power", LargeBinary, nullable=False, comment="little-endian f8, one a channel, ADC^2/Ohm/MHz"),
+    Column("far", Float, comment="times the path's power at that time; left out of fits until it is known to last"),
+    Index("ix_spectrum_far", "path", sqlite_where=IS_FAR, postgresql_where=IS_FAR),
     # by event: what arrives together lies together, and what a window holds is found by its events
     PrimaryKeyConstraint("event", "path"),
 )
@@ -84,6 +87,7 @@ receipt = Table(
     metadata,
     Column("sha256", Text, primary_key=True, comment="of a body whose spectra are all stored"),
     Column("spectra", Integer, nullable=False, comment="how many it holds"),
+    Column("warnings", Text, comment="what was said of it, JSON"),
     Column("at_us", BigInteger, nullable=False),
 )
 

@@ -6,18 +6,20 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
+from math import isnan
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from sqlalchemy import BigInteger, Connection, Row, Select, bindparam, func, select, update
+from sqlalchemy import BigInteger, Connection, Row, Select, bindparam, exists, func, select, union_all, update
 
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
+from lbacal_core.spectra.screening import measure_level
 from lbacal_core.spectra.spectra import MAX_COVARIATES, Spectra
 from service.errors import ConflictError, NotFoundError
-from service.schema.tables import event, event_flag, path, receipt, spectrum
+from service.schema.tables import IS_FAR, event, event_flag, path, receipt, spectrum
 from service.storage.rows import Store, add_rows
 
 # Spectra as they arrive: each event, covariate and spectrum is stored once, whoever sends it how often.
@@ -31,6 +33,8 @@ SAME_TIME_US = 1
 EVENT_SPAN_US = 60_000_000
 """An event is one read-out of all antennas: two times further apart under one name are two events."""
 ROWS_NAMED = 5
+EVENTS_BESIDE = 4
+"""Events before and after an instant whose power says what is usual of a path."""
 _ROWS_AT_ONCE = 4096
 
 # Arrays instead of a COPY into a staging table: 0.9 of its speed for 20 events, 1.2 for one (docs/decisions/intake.md).
@@ -38,7 +42,7 @@ _ROWS_AT_ONCE = 4096
 _SQL = {
     "sqlite": {
         "event": "INSERT INTO event (event_id, time_us, env) VALUES (?, ?, ?) ON CONFLICT DO NOTHING",
-        "spectrum": "INSERT INTO spectrum (path, event, time_us, blocks, power) VALUES (?, ?, ?, ?, ?) "
+        "spectrum": "INSERT INTO spectrum (path, event, time_us, blocks, power, far) VALUES (?, ?, ?, ?, ?, ?) "
         "ON CONFLICT DO NOTHING",
         "env": "UPDATE event SET env = json_patch(?, coalesce(env, '{}')) WHERE id = ?",
         "stored": "SELECT spectrum.path, spectrum.event, time_us, blocks, power FROM json_each(?) AS sent "
@@ -48,8 +52,9 @@ _SQL = {
     "postgresql": {
         "event": "INSERT INTO event (event_id, time_us, env) "
         "SELECT * FROM unnest(%b::text[], %b::bigint[], %b::text[]) ON CONFLICT DO NOTHING",
-        "spectrum": "INSERT INTO spectrum (path, event, time_us, blocks, power) "
-        "SELECT * FROM unnest(%b::int[], %b::bigint[], %b::bigint[], %b::int[], %b::bytea[]) ON CONFLICT DO NOTHING",
+        "spectrum": "INSERT INTO spectrum (path, event, time_us, blocks, power, far) "
+        "SELECT * FROM unnest(%b::int[], %b::bigint[], %b::bigint[], %b::int[], %b::bytea[], %b::float8[]) "
+        "ON CONFLICT DO NOTHING",
         "env": "UPDATE event SET env = (%s::jsonb || coalesce(env, '{}')::jsonb)::text WHERE id = %s",
         "stored": "SELECT path, event, time_us, blocks, power "
         "FROM unnest(%b::int[], %b::bigint[]) AS sent (path, event) JOIN spectrum USING (path, event)",
@@ -68,8 +73,11 @@ class Arrivals:
         self._is_sqlite = connection.dialect.name == "sqlite"
         self._sql = _SQL[connection.dialect.name]
 
-    def add(self, spectra: Spectra) -> int:
-        """Store what is new and return its count; a different spectrum under a stored key is a conflict."""
+    def add(self, spectra: Spectra, far: Floats | None = None) -> int:
+        """Store what is new and return its count; a different spectrum under a stored key is a conflict.
+
+        `far` is power over what is usual of a path, shape (row,), for spectra that wait for the night; NaN for others.
+        """
         times = np.round(spectra.time_unix * 1e6).astype(np.int64)
         events = self._number_events(spectra, times)
         paths = self._number_paths(spectra)
@@ -78,25 +86,57 @@ class Arrivals:
         width = len(buffer) // max(len(order), 1)
         powers = [buffer[k : k + width] for k in range(0, len(buffer), width)]
         columns = [column[order].tolist() for column in (paths, events, times, spectra.blocks)]
-        rows: list[ArrivalRow] = list(zip(*columns, powers, strict=True))
+        far = np.full(len(spectra), np.nan) if far is None else far
+        waiting = [None if isnan(one) else one for one in far[order].tolist()]
+        rows: list[ArrivalRow] = list(zip(*columns, powers, waiting, strict=True))
         stored = self._insert("spectrum", rows)
         if stored < len(rows):
             self._require_same(spectra, order, rows)
         return stored
 
-    def find_receipts(self, digests: Sequence[str]) -> dict[str, int]:
-        """How many spectra bodies hold that were stored whole before, by SHA-256."""
+    def find_receipts(self, digests: Sequence[str]) -> dict[str, tuple[int, list[str]]]:
+        """How many spectra bodies hold that were stored whole before, and what was said of them, by SHA-256."""
         rows = self._connection.execute(select(receipt).where(receipt.c.sha256.in_(digests)))
-        return {row.sha256: row.spectra for row in rows}
+        return {row.sha256: (row.spectra, json.loads(row.warnings or "[]")) for row in rows}
 
     def newest(self) -> Instant | None:
         """When spectra arrived last."""
         newest: Instant | None = self._connection.execute(select(func.max(receipt.c.at_us))).scalar_one()
         return newest
 
-    def keep_receipt(self, digest: str, spectra: int, at: Instant) -> None:
+    def keep_receipt(self, digest: str, spectra: int, warnings: Sequence[str], at: Instant) -> None:
         """Remember that all spectra of a body are stored. Spectra are never deleted, so it stays true."""
-        add_rows(self._connection, receipt, [{"sha256": digest, "spectra": spectra, "at_us": at}])
+        row = {
+            "sha256": digest,
+            "spectra": spectra,
+            "warnings": json.dumps(warnings) if warnings else None,
+            "at_us": at,
+        }
+        add_rows(self._connection, receipt, [row])
+
+    def find_levels(
+        self, paths: Sequence[tuple[str, int, str]], at: Instant
+    ) -> dict[tuple[str, int, str], list[float]]:
+        """The levels of some paths of a station in the events nearest to an instant.
+
+        A spectrum that waits has the usual level of its path: its own without the factor.
+        """
+        stored = self._stored_paths(paths)
+        key = {stored[one]: one for one in paths if one in stored}
+        has_any = exists().where(spectrum.c.event == event.c.id, spectrum.c.path.in_(key))
+        near = select(event.c.id).where(event.c.flag.is_(None), has_any).limit(EVENTS_BESIDE)
+        before = near.where(event.c.time_us <= at).order_by(event.c.time_us.desc()).subquery()
+        after = near.where(event.c.time_us > at).order_by(event.c.time_us).subquery()
+        columns = select(spectrum.c.path, spectrum.c.power, spectrum.c.far).where(spectrum.c.path.in_(key))
+        of_events = columns.where(spectrum.c.event.in_(union_all(select(before), select(after))))
+        rows = self._connection.execute(of_events).all() if key else ()
+        levels: dict[tuple[str, int, str], list[float]] = {}
+        if rows:
+            power = np.frombuffer(b"".join(row.power for row in rows), POWER).reshape(len(rows), -1)
+            usual = measure_level(power) - np.log([row.far or 1.0 for row in rows])
+            for row, level in zip(rows, usual.tolist(), strict=True):
+                levels.setdefault(key[row.path], []).append(level)
+        return levels
 
     def _insert(self, table: str, rows: Sequence[ArrivalRow]) -> int:
         """Insert rows that are not there, and return how many were not."""
@@ -178,7 +218,7 @@ class Arrivals:
             values: Any = (json.dumps(keys),) if self._is_sqlite else tuple(list(c) for c in zip(*keys, strict=True))
             for stored in self._connection.exec_driver_sql(self._sql["stored"], values):
                 k = sent[(stored.path, stored.event)]
-                _, _, time_us, blocks, power = rows[k]
+                time_us, blocks, power = rows[k][2:5]
                 what = ["blocks"] if stored.blocks != blocks else []
                 what += ["power"] if stored.power != power else []
                 what += ["time"] if abs(stored.time_us - time_us) > SAME_TIME_US else []
@@ -210,6 +250,8 @@ def _parts(items: Sequence[Item]) -> Iterator[Sequence[Item]]:
 
 
 EVENTS_AT_ONCE = 500
+FAR_LEVEL = "far_level"
+"""The flag under which events are listed of which a spectrum waits."""
 
 
 @dataclass(frozen=True)
@@ -221,6 +263,7 @@ class StoredEvent:
     time: Instant
     spectra: int
     stations: Sequence[str]
+    waiting: int
     flag: str | None
     env: Mapping[str, float | None]
 
@@ -254,9 +297,9 @@ class SpectraStore(Store):
         """Where they come in."""
         return Arrivals(self._connection)
 
-    def add(self, spectra: Spectra) -> int:
-        """Store what is new and return its count; a different spectrum under a stored key is a conflict."""
-        return self.arrivals.add(spectra)
+    def add(self, spectra: Spectra, far: Floats | None = None) -> int:
+        """Store what is new and return its count; see `Arrivals.add`."""
+        return self.arrivals.add(spectra, far)
 
     def load(
         self,
@@ -398,7 +441,8 @@ class SpectraStore(Store):
         if asked.until is not None:
             statement = statement.where(event.c.time_us < asked.until)
         if asked.flag is not None:
-            statement = statement.where(event.c.flag == asked.flag)
+            is_waiting = event.c.id.in_(select(spectrum.c.event).where(spectrum.c.far.is_not(None)))
+            statement = statement.where(is_waiting if asked.flag == FAR_LEVEL else event.c.flag == asked.flag)
         if asked.station is not None:
             of_station = select(spectrum.c.event).join(path, path.c.id == spectrum.c.path)
             statement = statement.where(event.c.id.in_(of_station.where(path.c.station == asked.station)))
@@ -412,25 +456,44 @@ class SpectraStore(Store):
         return self._with_counts(rows)[0]
 
     def _with_counts(self, rows: Sequence[Row[Any]]) -> list[StoredEvent]:
-        counted = select(spectrum.c.event, path.c.station, func.count().label("spectra"))
+        numbers = func.count().label("spectra"), func.count(spectrum.c.far).label("waiting")
+        counted = select(spectrum.c.event, path.c.station, *numbers)
         counted = counted.join(path, path.c.id == spectrum.c.path).where(spectrum.c.event.in_([row.id for row in rows]))
         counts: dict[int, dict[str, int]] = {}
+        waiting: dict[int, int] = {}
         for row in self._connection.execute(counted.group_by(spectrum.c.event, path.c.station)):
             counts.setdefault(row.event, {})[row.station] = row.spectra
+            waiting[row.event] = waiting.get(row.event, 0) + row.waiting
         return [
             StoredEvent(
                 row.id, row.event_id, row.time_us, sum(counts.get(row.id, {}).values()),
-                sorted(counts.get(row.id, {})), row.flag, json.loads(row.env or "{}"),
+                sorted(counts.get(row.id, {})), waiting.get(row.id, 0), row.flag, json.loads(row.env or "{}"),
             )
             for row in rows
         ]  # fmt: skip
 
     def set_flag(self, event_id: str, flag: str | None, *, reason: str, by: str, at: Instant) -> None:
-        """Set or clear the quality flag of an event; who did it and why is kept."""
+        """Set or clear the quality flag of an event; who did it and why is kept. None of its spectra waits longer."""
         number = self.event(event_id).number
+        self._connection.execute(update(spectrum).where(spectrum.c.event == number, IS_FAR).values(far=None))
         self._connection.execute(update(event).where(event.c.id == number).values(flag=flag))
         entry = {"event": number, "flag": flag, "reason": reason, "by": by, "at_us": at}
         self._connection.execute(event_flag.insert().values(entry))
+
+    def waiting(self) -> Iterator[tuple[int, list[Instant], NDArray[np.bool_]]]:
+        """The paths with spectra that wait: number, the times of all its spectra, and which wait, shape (event,)."""
+        some = select(spectrum.c.path).where(spectrum.c.far.is_not(None)).distinct()
+        columns = select(spectrum.c.path, spectrum.c.time_us, spectrum.c.far).where(spectrum.c.path.in_(some))
+        rows = self._connection.execute(columns.order_by(spectrum.c.path, spectrum.c.time_us)).all()
+        for number, of_path in groupby(rows, key=lambda row: row.path):
+            _, times, far = zip(*of_path, strict=True)
+            yield number, list(times), np.array([one is not None for one in far])
+
+    def end_waiting(self, number: int, times: Sequence[Instant]) -> None:
+        """Spectra of a path take part in fits from now on."""
+        for some in _parts(times):
+            of_path = update(spectrum).where(spectrum.c.path == number, spectrum.c.far.is_not(None))
+            self._connection.execute(of_path.where(spectrum.c.time_us.in_(some)).values(far=None))
 
 
 def _usable(statement: Select[Any], window: Window) -> Select[Any]:
@@ -438,6 +501,7 @@ def _usable(statement: Select[Any], window: Window) -> Select[Any]:
     statement = _joined(statement).where(
         event.c.time_us >= window.since - EVENT_SPAN_US, event.c.time_us < window.until + EVENT_SPAN_US,
         spectrum.c.time_us >= window.since, spectrum.c.time_us < window.until, event.c.flag.is_(None),
+        spectrum.c.far.is_(None),
     )  # fmt: skip
     scope = window.scope
     if scope.station is not None:
@@ -464,7 +528,7 @@ _COLUMNS = spectrum.c.event, spectrum.c.time_us, spectrum.c.blocks, spectrum.c.p
 _OF_A_PATH = (
     select(*_COLUMNS)
     .join(event, event.c.id == spectrum.c.event)
-    .where(spectrum.c.path == bindparam("path", type_=BigInteger), *_OF_USABLE_EVENTS)
+    .where(spectrum.c.path == bindparam("path", type_=BigInteger), spectrum.c.far.is_(None), *_OF_USABLE_EVENTS)
     .where(spectrum.c.time_us >= bindparam("since", type_=BigInteger))
     .where(spectrum.c.time_us < bindparam("until", type_=BigInteger))
     .order_by(spectrum.c.event)

@@ -33,6 +33,7 @@ from service.usecases.drift import find_years
 from service.usecases.drift_measurement import KIND as DRIFT
 from service.usecases.drift_measurement import find_references
 from service.usecases.fits import read_fit
+from service.usecases.intake import judge_far
 from service.usecases.investigations import KIND as INVESTIGATION
 from service.usecases.investigations import Investigations
 from service.usecases.orders import Inputs, name_inputs
@@ -60,12 +61,13 @@ class DueWork:
     watch: Watch
 
     def enqueue(self) -> list[int]:
-        """Enqueue everything that is due, and return the new jobs.
+        """Enqueue everything that is due, and return the new jobs; spectra whose level lasts take part from now on.
 
         Work that nobody has begun and that was enqueued for another instrument, sky power or model version is given up.
         """
         with self.database.write() as stores:
             stores.jobs.drop_outdated(self._inputs.text, self.clock())
+            judge_far(stores)
         with self.database.read() as stores:
             orders = [*self._refits(stores), *self._drift(stores, stores.spectra.stations())]
             orders += self._investigations(stores)

@@ -6,24 +6,30 @@ import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from statistics import median
 
 import numpy as np
 
 from lbacal.instants import format_instant, parse_instant
 from lbacal_core.curves.validity import Instant
 from lbacal_core.errors import BadInputError, name_path
-from lbacal_core.grids import require_same_grid
+from lbacal_core.grids import Floats, require_same_grid
 from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.spectra.screening import FAR, find_lasting, measure_level
 from lbacal_core.spectra.spectra import Spectra
 from service.errors import ConflictError
-from service.storage.database import Database
+from service.storage.database import Database, Stores
 from service.storage.spectra import EVENT_SPAN_US, EventsAsked, StoredEvent
 from service.wire.bodies import LONGEST_NAME, MAX_SPECTRA, SpectraBody, SpectrumBody, parse_body
 from service.wire.hdf5_body import FileReader
 
 MAX_NAMES_IN_BATCH = 64
 """Names of covariates in one batch: each is a column of it in memory."""
+PATHS_NAMED = 20
+"""An answer warns of so many paths one by one."""
+FEWEST_BESIDE = 3
+"""So many stored spectra of a path say what is usual; one may be an exception."""
 Place = Callable[[str, int], str]
 _FIELDS = {"time_unix": "time_utc"}
 """Columns that JSON calls otherwise."""
@@ -36,10 +42,11 @@ def name_row(column: str, row: int) -> str:
 
 @dataclass(frozen=True)
 class Receipt:
-    """What became of a batch."""
+    """What became of a batch; `warnings` name the paths whose spectra are stored and wait for the night."""
 
     received: int
     stored: int
+    warnings: Sequence[str] = ()
 
     @property
     def duplicates(self) -> int:
@@ -77,13 +84,14 @@ class Intake:
         """Store a body, a spectra file or JSON, whole or not at all; one that was stored before is not even read."""
         digest = hashlib.sha256(content).hexdigest()
         if digest in (known := self.find_receipts([digest])):
-            return Receipt(known[digest], 0)
+            received, warnings = known[digest]
+            return Receipt(received, 0, warnings)
         if is_file:
             return self.store(self.files.read(content), digest=digest)
         return self._store_json(parse_body(SpectraBody, content), digest)
 
-    def find_receipts(self, digests: Sequence[str]) -> dict[str, int]:
-        """How many spectra bodies hold that were stored whole before, by SHA-256."""
+    def find_receipts(self, digests: Sequence[str]) -> dict[str, tuple[int, list[str]]]:
+        """How many spectra bodies hold that were stored whole before, and the warnings, by SHA-256."""
         return self.database.ask(lambda stores: stores.spectra.arrivals.find_receipts(digests))
 
     def _store_json(self, body: SpectraBody, digest: str) -> Receipt:
@@ -129,10 +137,11 @@ class Intake:
         spectra.require_past(self.clock() / 1e6)
         _require_one_time_an_event(spectra, name_place)
         with self.database.write() as stores:
-            stored = stores.spectra.add(spectra)
+            far = find_far(stores, spectra)
+            stored, warnings = stores.spectra.add(spectra, far), warn_of_far(spectra, far)
             if digest is not None:
-                stores.spectra.arrivals.keep_receipt(digest, received, self.clock())
-            return Receipt(received, stored)
+                stores.spectra.arrivals.keep_receipt(digest, received, warnings, self.clock())
+            return Receipt(received, stored, warnings)
 
     def _require_on_record(self, spectra: Spectra, name_place: Place) -> None:
         """Refuse a dipole, station or antenna that the instrument does not have, or does not have at that time."""
@@ -165,6 +174,51 @@ class Intake:
         with self.database.write() as stores:
             stores.spectra.set_flag(event_id, flag, reason=reason, by=by, at=self.clock())
             return stores.spectra.event(event_id)
+
+
+# What does not belong, of another campaign, through another attenuator or in decibels, waits for the night.
+
+
+def find_far(stores: Stores, spectra: Spectra) -> Floats:
+    """Power over what is stored of the path nearest in time where it is far from that, shape (row,); NaN elsewhere."""
+    keys = list(zip(spectra.station.tolist(), spectra.antenna.tolist(), spectra.dipole.tolist(), strict=True))
+    usual: dict[tuple[str, int, str], float] = {}
+    for station in np.unique(spectra.station).tolist():
+        middle = round(float(np.median(spectra.time_unix[spectra.station == station])) * 1e6)
+        of_station = sorted({key for key in keys if key[0] == station})
+        for key, levels in stores.spectra.arrivals.find_levels(of_station, middle).items():
+            if len(levels) >= FEWEST_BESIDE:
+                usual[key] = median(levels)
+    if not usual:
+        return np.full(len(spectra), np.nan)
+    over = measure_level(spectra.power) - np.array([usual.get(key, np.nan) for key in keys])
+    return np.exp(np.where(np.abs(over) > FAR, over, np.nan))
+
+
+def warn_of_far(spectra: Spectra, far: Floats) -> list[str]:
+    """One sentence for each of the first paths with such spectra, and one for all others."""
+    factors: dict[str, list[float]] = {}
+    for k in np.flatnonzero(np.isfinite(far)).tolist():
+        name = name_path(str(spectra.station[k]), int(spectra.antenna[k]), str(spectra.dipole[k]))
+        factors.setdefault(name, []).append(far[k])
+    told = [
+        f"{name}: {(factor := np.median(found)):.3g} times the power stored nearest in time "
+        f"({10 * np.log10(factor):+.1f} dB); {len(found)} spectra stored, "
+        "and in no fit before the night has judged them"
+        for name, found in factors.items()
+    ]
+    more = len(told) - PATHS_NAMED
+    return told if more <= 0 else [*told[:PATHS_NAMED], f"and {more} more paths in the same way"]
+
+
+def judge_far(stores: Stores) -> int:
+    """Let those that wait into fits where they last, and count them: the path changed, and drift finds that."""
+    judged = 0
+    for path, times, is_waiting in list(stores.spectra.waiting()):
+        lasting = [times[k] for k in np.flatnonzero(find_lasting(is_waiting))]
+        stores.spectra.end_waiting(path, lasting)
+        judged += len(lasting)
+    return judged
 
 
 def _read_times(spectra: Sequence[SpectrumBody]) -> list[Instant]:

@@ -23,12 +23,17 @@ class ReceiptAnswer(Answer):
     received: int
     stored: int
     duplicates: int = Field(description="there already, with the same content")
+    warnings: list[str] | None = Field(
+        None,
+        description="paths whose level is far from what is stored; in no fit before the night. Absent where none is",
+    )
 
 
 class ReceiptsAnswer(Answer):
     """Bodies whose spectra are all stored."""
 
     stored: list[str] = Field(description="SHA-256 of their bytes")
+    warnings: list[str] = Field(description="what was said of them when they were stored")
 
 
 class EventAnswer(Answer):
@@ -38,6 +43,7 @@ class EventAnswer(Answer):
     time_utc: str
     spectra: int
     stations: list[str]
+    waiting: int = Field(description="spectra whose level is far from what was stored: in no fit until it lasts")
     flag: str | None = Field(description="why it is left out of fits")
     env: dict[str, float | None] = Field(description="covariates by name")
 

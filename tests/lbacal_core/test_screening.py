@@ -5,7 +5,7 @@ import pytest
 
 from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.spectra.blocks import SpectraBlock
-from lbacal_core.spectra.screening import CUT_SIGMA, FEWEST_EVENTS, LASTING_EVENTS, Screened, screen_block
+from lbacal_core.spectra.screening import CUT_SIGMA, FEWEST_EVENTS, LASTING_EVENTS, Screened, find_lasting, screen_block
 
 LONGITUDE = 6.87
 PATHS, EVENTS, CHANNELS = 4, 400, 51
@@ -177,3 +177,22 @@ def test_the_scatter_of_clean_years_stays_far_from_the_cut():
     """At 60 events the daily variation takes up the most of the scatter, and the spread is least known."""
     left_out = sum(len(screen_block(year(events=60, seed=seed), LONGITUDE).anomalies) for seed in range(50))
     assert left_out <= 2, f"{left_out} of {50 * PATHS * 60}: a Gaussian scatter has 2e-9 beyond {CUT_SIGMA} sigma"
+
+
+@pytest.mark.parametrize(
+    ("came", "lasting"),
+    [
+        ("." * 20 + "x" * 9, 0),
+        ("." * 20 + "x" * 10, 10),
+        ("x" * 12 + "." * 40, 12),
+        ("." * 30 + "x" * 40 + "." * 50, 0),
+        (".x" * 40, 0),
+        ("xxx" + "." * 50 + "xx.xxx" * 4, 20),
+        ("x" * 15, 15),
+        ("." * 15, 0),
+    ],
+)
+def test_a_level_lasts_that_the_newest_or_the_oldest_events_have(came: str, lasting: int) -> None:
+    found = find_lasting(np.array([one == "x" for one in came]))
+    assert found.sum() == lasting
+    assert not np.any(found & np.array([one == "." for one in came]))

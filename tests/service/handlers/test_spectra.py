@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import re
 from concurrent.futures import ThreadPoolExecutor
 from threading import Barrier
 from typing import Any
@@ -15,6 +16,8 @@ import pytest
 from fastapi.testclient import TestClient
 
 from service.factory import Factory
+from service.scheduler import look_for_due_work
+from service.storage.spectra import Window
 from service.wire.hdf5_child import write_example
 from tests.service.conftest import MHZ, bearer
 
@@ -363,3 +366,69 @@ def test_a_body_that_changes_one_thing_is_small(client: TestClient) -> None:
     answer = client.post("/v1/events/e0/flag", json={"flag": "x", "reason": "r" * 100_000})
     assert answer.status_code == 413
     assert "65536" in answer.json()["detail"]
+
+
+def campaign_of(first: int, count: int, times: float = 1.0, **more: Any) -> dict[str, Any]:
+    """One spectrum of a path a day from a day of 2014 on, the daily variation of the sky a factor of two."""
+    rows = []
+    for day in range(first, first + count):
+        sky = times * 2.0 ** (0.5 * np.sin(day))
+        time_utc = f"{np.datetime64('2014-01-01') + day}T12:00:00Z"
+        power = [sky * one for one in (4.0, 3.0, 2.0, 1.0)]
+        rows.append(spectrum(event_id=f"d{day}", time_utc=time_utc, power=power, **more))
+    return batch(*rows)
+
+
+def usable(factory: Factory) -> int:
+    with factory.database.read() as stores:
+        return stores.spectra.content(Window(0, 2 * 10**15))[0]
+
+
+def test_what_does_not_belong_is_stored_said_and_in_no_fit(client: TestClient, factory: Factory) -> None:
+    first = client.post("/v1/spectra", json=campaign_of(0, 40))
+    assert first.json() == {"received": 40, "stored": 40, "duplicates": 0}, "nothing is stored to compare it with"
+    body = json.dumps(campaign_of(40, 6, 10.0)).encode()
+    answer = post(client, body)
+    assert (answer.status_code, answer.json()["stored"]) == (201, 6)
+    (sentence,) = answer.json()["warnings"]
+    assert re.match(
+        r"CS001 antenna 0 X: [\d.]+ times the power stored nearest in time \(\+[\d.]+ dB\); 6 spectra", sentence
+    )
+    factor, decibels = (float(one) for one in re.findall(r"([\d.]+) (?:times|dB)", sentence))
+    assert 10.0 / 2.0**0.5 < factor < 10.0 * 2.0**0.5
+    assert decibels == pytest.approx(10.0 * np.log10(factor), abs=0.1)
+    assert usable(factory) == 40
+    again = post(client, body)
+    assert (again.status_code, again.json()) == (200, {**answer.json(), "stored": 0, "duplicates": 6})
+    assert client.get("/v1/spectra/receipts", params={"sha256": hashlib.sha256(body).hexdigest()}).json()["warnings"]
+    listed = client.get("/v1/events", params={"flag": "far_level"}).json()["events"]
+    assert [(event["event_id"], event["waiting"]) for event in listed] == [(f"d{day}", 1) for day in range(40, 46)]
+    more = client.post("/v1/spectra", json=campaign_of(46, 3, 10.0)).json()
+    assert more["warnings"], "those that wait are not taken for what is usual"
+    assert usable(factory) == 40
+    assert "warnings" not in client.post("/v1/spectra", json=campaign_of(49, 20)).json()
+    look_for_due_work(factory)
+    assert usable(factory) == 60, "nine among ordinary ones are exceptions, and wait"
+    flag = client.post("/v1/events/d40/flag", json={"flag": None, "reason": "the attenuator is on record"})
+    assert (flag.json()["waiting"], usable(factory)) == (0, 61)
+
+
+@pytest.mark.parametrize("times", [0.8, 1.01, 1.2, 1.4])
+def test_no_step_that_electronics_make_is_warned_of(client: TestClient, factory: Factory, times: float) -> None:
+    client.post("/v1/spectra", json=campaign_of(0, 8))
+    assert "warnings" not in client.post("/v1/spectra", json=campaign_of(8, 60, times)).json()
+    assert usable(factory) == 68
+
+
+@pytest.mark.parametrize("times", [0.05, 10.0, 1000.0])
+def test_a_level_that_stays_is_in_fits_after_the_night(client: TestClient, factory: Factory, times: float) -> None:
+    """Also where it came in several bodies, and beside a path that did not change."""
+    for first, count in ((0, 30), (30, 8), (38, 40)):
+        own = 1.0 if first == 0 else times
+        assert ("warnings" in client.post("/v1/spectra", json=campaign_of(first, count, own)).json()) == (first > 0)
+        assert "warnings" not in client.post("/v1/spectra", json=campaign_of(first, count, dipole="Y")).json()
+    assert usable(factory) == 30 + 78
+    look_for_due_work(factory)
+    assert usable(factory) == 2 * 78
+    assert "warnings" not in client.post("/v1/spectra", json=campaign_of(78, 5, times)).json()
+    assert client.get("/v1/events", params={"flag": "far_level"}).json()["events"] == []
