@@ -399,6 +399,8 @@ change = Table(
     Column("sigma_us", BigInteger, nullable=False, comment="standard deviation of the date"),
     Column("size", Float, comment="change of C, a fraction"),
     Column("size_sigma", Float),
+    Column("tilt", Float, comment="change of ln C as the Legendre polynomial 1 over the band; null where it is none"),
+    Column("curvature", Float, comment="the same of the polynomial 2"),
     Column("made_us", BigInteger, nullable=False),
     comment="what changed in a path, a station or the array, one row whoever found it",
 )

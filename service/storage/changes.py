@@ -55,6 +55,8 @@ class Change:
         When, and its standard deviation in microseconds.
     size, size_sigma
         Change of C as a fraction with its standard deviation; None where it is not known.
+    tilt, curvature
+        Change of ln C as the Legendre polynomials 1 and 2 over the band; None where there is none.
     """
 
     station: str | None
@@ -64,6 +66,8 @@ class Change:
     sigma: int
     size: float | None = None
     size_sigma: float | None = None
+    tilt: float | None = None
+    curvature: float | None = None
 
     @property
     def sigma_days(self) -> float:
@@ -97,7 +101,7 @@ class Cut:
     """A date at which the windows of an antenna are cut, both dipoles alike; of all of a station where it is None.
 
     `dipoles` are those that changed, None for both, and `power` is theirs after it over that before; None where the
-    size of the change is not known.
+    size of the change is not known. `shape` are the Legendre coefficients 1 and 2 of ln of it over the band.
     """
 
     station: str
@@ -105,6 +109,7 @@ class Cut:
     date: Instant
     dipoles: tuple[str, ...] | None = None
     power: float | None = None
+    shape: tuple[float, float] = (0.0, 0.0)
 
     def is_bridged_by(self, promotion: Promotion) -> bool:
         """Whether a version answers on both sides of it."""
@@ -182,7 +187,7 @@ class KeptChange:
         power = None if power is None or abs(math.log(power)) > LARGEST_TAKEN_OUT else power
         if one.station is None:
             return []
-        cut = Cut(one.station, None, one.date, None, power)
+        cut = Cut(one.station, None, one.date, None, power, (-2.0 * (one.tilt or 0.0), -2.0 * (one.curvature or 0.0)))
         who = [replace(cut, antenna=number, dipoles=one.dipoles_of(number)) for number in one.antennas]
         return who if one.paths else [cut]
 

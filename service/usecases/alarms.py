@@ -40,7 +40,7 @@ from service.storage.jobs import Job
 from service.storage.models import Investigation
 from service.storage.versions import Version
 from service.usecases.drift import year_of
-from service.usecases.watch import read_change
+from service.usecases.watch import read_changes
 from service.wire.bodies import AcknowledgementBody
 
 # Named causes that move C: what an investigation found, while the calibrations in effect were made without it.
@@ -242,8 +242,7 @@ def _with_state(alarm: Alarm, waiting: Sequence[KeptChange]) -> Alarm:
     """An alarm of a step that says so where its windows are not yet refitted."""
     if not waiting or alarm.news.kind != STEP or alarm.ended is not None:
         return alarm
-    own = read_change(alarm.news.content)
-    if not any(own.is_same(one.change) for one in waiting):
+    if not any(own.is_same(one.change) for own in read_changes(alarm.news.content) for one in waiting):
         return alarm
     return replace(alarm, news=replace(alarm.news, sentence=f"{alarm.news.sentence} ({NOT_REFITTED})"))
 

@@ -20,7 +20,7 @@ from lbacal_core.calibration.continued import Continued, continue_fit
 from lbacal_core.calibration.separable import solve_separable
 from lbacal_core.calibration.singles import MIN_EVENTS
 from lbacal_core.calibration.windows import cut_window, find_hardware_changes
-from lbacal_core.calibration.years import Beside
+from lbacal_core.calibration.years import Beside, gain_modes
 from lbacal_core.causes.model import Model
 from lbacal_core.curves.covariance import Budget
 from lbacal_core.curves.curves import CONVERGED, Anomalies, CalibrationCurve, FitReport
@@ -92,7 +92,7 @@ class Wanted:
     def named(self) -> list[list[Any]]:
         """What names these changes."""
         cuts = [[one.station, one.antenna, one.date] for one in self.cuts]
-        return cuts + [[one.station, one.antenna, one.date, one.dipoles, one.power] for one in self.taken_out]
+        return cuts + [[*vars(one).values()] for one in self.taken_out]
 
     @property
     def is_year(self) -> bool:
@@ -341,6 +341,7 @@ def _take_out(whole: FittedCauses, wanted: Wanted, neighbours: Neighbours) -> Fi
     if not wanted.taken_out:
         return whole
     spectra, power = whole.recorded, whole.recorded.power.copy()
+    modes = gain_modes(spectra.frequency_mhz)[1:]
     for one in wanted.taken_out:
         for dipole in one.dipoles or np.unique(spectra.dipole).tolist():
             is_later = (spectra.station == one.station) & (spectra.dipole == dipole)
@@ -350,7 +351,7 @@ def _take_out(whole: FittedCauses, wanted: Wanted, neighbours: Neighbours) -> Fi
                 rows = is_later & (spectra.antenna == antenna)
                 behind, _ = neighbours.behind.get((one.station, antenna, dipole), (np.zeros(power.shape[1]), ""))
                 signal = np.maximum(power[rows] - behind, 0.0)
-                power[rows] += signal * (1.0 / float(one.power or 1.0) - 1.0)
+                power[rows] += signal * np.expm1(-np.log(one.power or 1.0) - one.shape @ modes)
     return replace(whole, unchanged=power)
 
 

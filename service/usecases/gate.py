@@ -3,8 +3,8 @@
 A version passes if every curve converged, most channels are good and the statistical error of C in these is small
 enough, the events see enough of the sidereal day, and the mean of C differs by less than the limit from the version of
 the same scope that was in effect for the window, or else nearest to it in time, both through the same cable, or by what
-the adoption or withdrawal of a cause announced, within its error. An
-objection names the events of the window whose power is most anomalous.
+the adoption or withdrawal of a cause announced, within its error, or by what is in force to have changed between the
+two. An objection names the events of the window whose power is most anomalous.
 The limits are settings; a jump beyond them is either a fault or news, and both deserve a look.
 """
 
@@ -22,6 +22,7 @@ from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import BadInputError, write_change, write_percent
 from lbacal_core.grids import Floats, require_same_grid
+from service.storage.changes import Cut
 from service.storage.ledger import LedgerStore
 from service.storage.models import ModelChange
 from service.storage.versions import BUDGET, Version, mean_over_band
@@ -236,17 +237,24 @@ class Gate:
     band: float
 
     def objection(
-        self, version: Version, predecessor: Version | None, model_change: ModelChange | None = None
+        self,
+        version: Version,
+        predecessor: Version | None,
+        model_change: ModelChange | None = None,
+        cuts: Sequence[Cut] = (),
     ) -> str | None:
         """Why a version may not go into effect by itself, with the worst of its events; None if it may.
 
-        Where the predecessor was fitted with another model, a change of C passes that `model_change` announced.
+        Where the predecessor was fitted with another model, a change of C passes that `model_change` announced; what is
+        in force to have changed between the two (`cuts`) is no objection.
         """
-        reason = self._object(version, predecessor, model_change)
+        reason = self._object(version, predecessor, model_change, cuts)
         worst = version.anomalies.name_worst(EVENTS_NAMED)
         return f"{reason}; worst events: {worst}" if reason and worst else reason
 
-    def _object(self, version: Version, predecessor: Version | None, model_change: ModelChange | None) -> str | None:
+    def _object(
+        self, version: Version, predecessor: Version | None, model_change: ModelChange | None, cuts: Sequence[Cut]
+    ) -> str | None:
         if predecessor and predecessor.made > version.made and predecessor.window == version.window:
             return f"{predecessor.id[:12]} was made from later data and is in effect"
         for curve in version.curves:
@@ -254,7 +262,8 @@ class Gate:
             if weakness is not None:
                 return f"{curve.name}: {weakness}"
             change = find_change_of_mean(version, predecessor, str(curve.dipole)) if predecessor else None
-            if change is None or abs(change) <= self.change:
+            least, most = (0.0, 0.0) if predecessor is None else find_in_force(version, predecessor, cuts)
+            if change is None or least - self.change <= change <= most + self.change:
                 continue
             told = f"{curve.name}: mean C differs by {change:+.1%} from before, at most {self.change:.1%} passes"
             if predecessor is None or model_change is None or predecessor.model == version.model:
@@ -295,6 +304,19 @@ class Gate:
                 f"at most {self.error:.1%} passes"
             )
         return None
+
+
+def find_in_force(version: Version, predecessor: Version, cuts: Sequence[Cut]) -> tuple[float, float]:
+    """The range of changes of C that changes in force allow between two versions; no limits where a size is unknown."""
+    windows, scope = (version.window, predecessor.window), version.scope
+    first, last = min(since for since, _ in windows), max(until for _, until in windows)
+    own = [one for one in cuts if one.station == scope.station and one.antenna in (None, scope.antenna)]
+    inside = [one.power for one in own if first < one.date < last]
+    if None in inside:
+        return -math.inf, math.inf
+    sign = 1.0 if version.since >= predecessor.since else -1.0
+    moved = [-0.5 * sign * math.log(power) for power in inside if power is not None]
+    return math.expm1(sum(min(one, 0.0) for one in moved)), math.expm1(sum(max(one, 0.0) for one in moved))
 
 
 def find_announced(change: ModelChange, scope: Scope, dipole: str) -> tuple[float, float]:

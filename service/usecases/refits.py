@@ -175,9 +175,10 @@ class Refits:
         predecessors = stores.versions.get_many(before.values())
         standing = find_standing(stores, scopes, since, until)
         change = stores.models.last_change(part.request["station"], since, until)
-        superseded = _explain_other_model(stores, part)
+        superseded, cuts = _explain_other_model(stores, part), stores.changes.cuts(part.request["station"])
         gated = {
-            v.id: superseded or self.gate.objection(v, predecessors.get(before.get(v.scope, "")), change) for v in made
+            v.id: superseded or self.gate.objection(v, predecessors.get(before.get(v.scope, "")), change, cuts)
+            for v in made
         }
         news, examined = list(made), []
         in_effect = {scope: predecessors[name] for scope, name in standing.items()}

@@ -8,8 +8,9 @@ found to have changed has its windows cut there from then on, until the chain al
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,11 +23,11 @@ from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import MODEL_VERSION, hash_content
 from service.storage.alarms import SLOPE, STEP, News
 from service.storage.changes import DRIFT as BY_DRIFT
-from service.storage.changes import LARGEST_DATE_ERROR_US, RECORD, Change, Evidence
+from service.storage.changes import LARGEST_DATE_ERROR_US, RECORD, SAME_DATE, Change, Evidence
 from service.storage.database import Database, Stores
 from service.storage.jobs import Part
 from service.storage.sums import DRIFT, Sums
-from service.usecases.gate import drop_noise, name_members, tell_change
+from service.usecases.gate import PLAIN, drop_noise, name_members, tell_change
 
 if TYPE_CHECKING:
     from lbacal_core.drift.follow import History
@@ -116,7 +117,7 @@ def settle_changes(stores: Stores, report: Mapping[str, Any], now: Instant) -> N
 
     A change does not end because an adopted cause takes it up: the cause may be withdrawn.
     """
-    found = [(read_change(one), one) for one in report["changes"]]
+    found = [(change, one) for one in report["changes"] for change in read_changes(one)]
     for kept in stores.changes.kept():
         change = kept.change
         is_sought = stores.models.during(change.station, change.date, change.date + 1).is_plain
@@ -132,12 +133,31 @@ def settle_changes(stores: Stores, report: Mapping[str, Any], now: Instant) -> N
             stores.changes.end(kept.number, RECORD, now)
 
 
-def read_change(told: Mapping[str, Any]) -> Change:
-    """A change of a report: what steps together at a date is one, that of a station's median one of all its paths."""
-    is_whole = any(one["antenna"] is None for one in told["members"])
-    paths = () if is_whole else tuple((one["antenna"], one["dipole"]) for one in told["members"])
+def read_changes(told: Mapping[str, Any]) -> list[Change]:
+    """What steps together at a date, as changes: one of each size; a station's median stands for all its paths."""
     date, sigma = round(told["date_unix"] * SECOND_US), round(told["date_sigma_days"] * DAY_US)
-    return Change(told["station"], paths, STEP, date, sigma, told["size"], told["sigma"])
+    groups: list[list[Mapping[str, Any]]] = []
+    for member in told["members"]:
+        own = next((group for group in groups if told["is_known"] or _is_of_one_size(group[0], member)), None)
+        groups.append([member]) if own is None else own.append(member)
+    found = [
+        Change(told["station"], _paths_of(group), STEP, date, sigma, group[0]["size"], group[0]["sigma"])
+        for group in groups
+    ]
+    # the shape of a report is that of its most significant member
+    plain = {name: one["value"] for name, one in told["shape"].items() if abs(one["value"]) > PLAIN * one["sigma"]}
+    return [replace(found[0], **plain), *found[1:]]
+
+
+def _paths_of(members: Sequence[Mapping[str, Any]]) -> tuple[tuple[int, str | None], ...]:
+    is_whole = any(one["antenna"] is None for one in members)
+    return () if is_whole else tuple((one["antenna"], one["dipole"]) for one in members)
+
+
+def _is_of_one_size(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    """Whether two members are one change: both polarisations of an antenna are, and others whose sizes agree."""
+    reach = SAME_DATE * math.hypot(one["sigma"], other["sigma"])
+    return bool(one["antenna"] == other["antenna"] or abs(one["size"] - other["size"]) <= reach)
 
 
 def tell_news(report: Mapping[str, Any], frequency_mhz: Floats, *, cuts_windows: bool) -> Iterator[News]:
@@ -156,8 +176,7 @@ def tell_news(report: Mapping[str, Any], frequency_mhz: Floats, *, cuts_windows:
             f"{who}: C changed by {tell_change(change['size'], change['sigma'], change['shape'], frequency_mhz)} "
             f"on {format_instant(since)[:10]} ± {change['date_sigma_days']:.1f} days"
         )
-        own = read_change(change)
-        is_cut = cuts_windows and own.sigma <= LARGEST_DATE_ERROR_US
+        is_cut = cuts_windows and error <= LARGEST_DATE_ERROR_US
         sentence += "; its windows are cut there unless a person dismissed the change" if is_cut else ""
         content = {**change, "proposal": _propose(change, format_instant(since))}
         yield News(STEP, Scope(change["station"]), "", sentence, content, since, error)

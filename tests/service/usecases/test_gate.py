@@ -9,6 +9,7 @@ import pytest
 
 from lbacal_core.curves.curves import CONVERGED, TOO_FEW_EVENTS, CalibrationCurve
 from lbacal_core.curves.validity import Promotion, Scope
+from service.storage.changes import Cut
 from service.storage.models import Announced, ModelChange
 from service.storage.versions import Version
 from service.usecases.gate import (
@@ -77,6 +78,20 @@ def test_an_error_above_the_limit_waits_even_without_a_version_before(error, pas
         assert "error of C 5.1% in its 51 good channels with 900 events, at most 5.0% passes" in GATE.objection(
             new, None
         )
+
+
+def test_a_change_in_force_between_two_versions_is_no_objection():
+    """A cable that drift found, dated and sized at 21 % waited for a human, and C of before it stayed in effect."""
+    later, earlier = (
+        version(curve(c), curve(c, dipole="Y"), made=200, window=window)
+        for c, window in ((1.24e-3, (50, 100)), (0.8e-3, (-50, 0)))
+    )
+    whole = Cut("CS002", None, 50, None, 1.2**-2.0)
+    assert GATE.objection(later, BEFORE, None, [whole]) is None
+    assert GATE.objection(later, BEFORE, None, [replace(whole, power=None)]) is None, "nobody knows its size"
+    assert GATE.objection(earlier, BEFORE, None, [replace(whole, date=10)]) is None, "and the other way in time"
+    for other in (replace(whole, date=500), replace(whole, antenna=3), replace(whole, power=1.2**2.0)):
+        assert "differs by +24.0%" in str(GATE.objection(later, BEFORE, None, [other]))
 
 
 def test_a_curve_that_did_not_converge_waits():
