@@ -267,7 +267,9 @@ def test_what_steps_together_by_different_sizes_is_several_changes() -> None:
         "shape": {"tilt": {"value": 0.04, "sigma": 0.005}, "curvature": {"value": 0.01, "sigma": 0.005}},
         "members": [
             {"antenna": antenna, "dipole": dipole, "size": size, "sigma": 0.002}
-            for antenna, dipole, size in ((0, "X", 0.21), (0, "Y", 0.2), (2, "Y", -0.01), (3, "Y", -0.012), (None, "X", 0.1))
+            for antenna, dipole, size in (
+                (0, "X", 0.21), (0, "Y", 0.2), (2, "Y", -0.01), (3, "Y", -0.012), (None, "X", 0.1)
+            )
         ],
     }  # fmt: skip
     found = [(one.paths, one.size, one.tilt, one.curvature) for one in read_changes(told)]
