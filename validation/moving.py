@@ -63,7 +63,7 @@ class Moved(Fault):
     date
         When it changes, s UTC.
     shape
-        Of ln of the power: Legendre coefficients along frequency.
+        Legendre coefficients of ln of the power along frequency.
     metres
         By how much the cable is longer: Coax 9 loses 0.0816 dB a metre at 30 MHz, as the root of frequency.
     """

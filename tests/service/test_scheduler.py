@@ -252,7 +252,7 @@ def test_a_night_waits_for_a_campaign_that_is_being_ingested_and_not_for_ever(
     wait_for_quiet(filled, stop)
     assert waited == [], "nothing has ever arrived over HTTP"
     with filled.database.write() as stores:
-        stores.spectra.arrivals.keep_receipt("a" * 64, 1, filled.clock() - 100_000_000)
+        stores.spectra.arrivals.keep_receipt("a" * 64, 1, [], filled.clock() - 100_000_000)
     wait_for_quiet(filled, stop)
     assert waited == pytest.approx([500.0] * 6, abs=0.1), "six times, where more arrives all the time"
     stop.set()
