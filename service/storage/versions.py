@@ -112,6 +112,8 @@ def _read_parts(connection: Connection, digests: Iterable[str]) -> Iterable[tupl
 
 BUDGET = "budget"
 """The input that names a budget which was not computed from the version's own spectra and those around them."""
+BESIDE = "beside"
+"""The input of a version that names the spectra of the other windows."""
 CURVES_REMEMBERED = 1200
 """Versions whose curves stay in memory: those of all paths of the Superterp in two years, about 40 MB."""
 MICROSECONDS = 1e6

@@ -15,11 +15,9 @@ from lbacal_core.curves.kept_lines import KeptLines, Owner
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.grids import Floats
 from lbacal_core.provenance import hash_content
-from service.storage.versions import Version
+from service.storage.versions import BESIDE, Version
 
 SECOND_US = 1_000_000
-BESIDE = "beside"
-"""The input of a version that names the spectra of the other windows."""
 
 
 @dataclass(frozen=True)
