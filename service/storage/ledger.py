@@ -328,6 +328,14 @@ class LedgerStore:
         newest = statement.order_by(promotion.c.at_us.desc(), promotion.c.id.desc()).limit(limit)
         return [_value(row) for row in self._connection.execute(newest)][::-1]
 
+    def of_interval(self, scope: Scope, since: Instant, until: Instant, limit: int) -> list[Promotion]:
+        """The newest promotions of versions for just an interval of a scope, newest first."""
+        is_it = (promotion.c.scope == scope.key) & (promotion.c.valid_from_us == since)
+        statement = select(promotion).where(
+            is_it, promotion.c.valid_to_us == until, promotion.c.calibration.is_not(None)
+        )
+        return [_value(row) for row in self._connection.execute(statement.order_by(promotion.c.id.desc()).limit(limit))]
+
     def recent(self, limit: int) -> list[Promotion]:
         """The newest promotions, newest first."""
         statement = select(promotion).order_by(promotion.c.at_us.desc(), promotion.c.id.desc()).limit(limit)

@@ -98,9 +98,10 @@ class Changes:
         """Put on record and into force what a person knows: of a change that was found, or of a new one."""
         change, now = self._read(body), self.clock()
         with self.database.write() as stores:
-            kept = stores.changes.note(change, Evidence(PERSON, by, None, now))
-            decided = stores.changes.decide(kept.number, Decision(IN_FORCE, now, by, body.reason))
-            return mark_refitted(stores, [decided], self.instrument.dipoles)[0]
+            stores.changes.note(change, Evidence(PERSON, by, None, now))
+            same = [one.number for one in stores.changes.kept(change.station) if one.change.is_same(change)]
+            decided = [stores.changes.decide(one, Decision(IN_FORCE, now, by, body.reason)) for one in same]
+            return mark_refitted(stores, decided, self.instrument.dipoles)[0]
 
     def decide(self, number: int, body: DecisionBody, by: str) -> KeptChange:
         """Put a change in force, or dismiss it, whatever its sources say."""

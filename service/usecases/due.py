@@ -152,10 +152,14 @@ class DueWork:
         model = stores.models.during(of.station, since, until)
         part = describe_part(scope, of, since, until, model, promote=True)
         acts = stores.changes.last_act(of.station, since, until)
+        beside = stores.sums.names_beside(scope, of, since, until)
+        if beside and scope != "array":  # a change between two windows parts them, wherever it lies
+            cuts = [one for one in stores.changes.cuts(of.station) if scope == "antenna" or one.antenna is None]
+            beside += [[one.station, one.antenna, one.date] for one in cuts]
         called_for = {
             "spectra": content,
             "model": _name_change(stores, of.station, since, until),
-            "beside": stores.sums.names_beside(scope, of, since, until),
+            "beside": beside,
             "changes": read_fit(stores, scope, of, (since, until)).named,
             "decisions": {"cuts": acts} if acts else None,
         }

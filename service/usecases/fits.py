@@ -236,6 +236,7 @@ class Fits:
                     continue
                 inputs = hash_content([told.calibration, *names, name_windows(told.scope, beside)])
                 examined.append(Examined(told.scope, piece.since, piece.until, inputs, told.calibration, shift, made))
+            neighbours = neighbours.and_also(KeptWindow(piece.since, piece.until, piece.lines))
         is_whole = len(pieces) == 1 and all(scope.antenna is not None for scope in rest)
         is_few = not rest or (is_whole and len(rest) <= LARGEST_REST * (len(rest) + len(examined)))
         return Outcome(examined, rest) if np.all(seen) and is_few else None
@@ -534,12 +535,12 @@ def keep_told(stores: Stores, block: Sums, pieces: Sequence[KeptPiece], told: Ma
 
 
 def find_standing(stores: Stores, scopes: Sequence[Scope], since: Instant, until: Instant) -> dict[Scope, str]:
-    """The versions that are in effect over a whole window, by scope."""
-    return {
-        scope: promotion.calibration
-        for scope, promotion in stores.ledger.decisive(scopes, (since + until) // 2, None).items()
-        if promotion.calibration is not None and promotion.covers(since) and promotion.covers(until - 1)
-    }
+    """The versions that are in effect at both ends of a window and in its middle, by scope."""
+    instants = since, (since + until) // 2, until - 1
+    said = stores.ledger.decisive_at([(scope, at) for scope in scopes for at in instants])
+    found = {scope: [said.get((scope, at)) for at in instants] for scope in scopes}
+    names = {scope: {None if p is None else p.calibration for p in of} for scope, of in found.items()}
+    return {scope: name for scope, (name, *others) in names.items() if name is not None and not others}
 
 
 def tell(version: Version, *, is_in_effect: bool) -> Told:

@@ -25,7 +25,7 @@ from lbacal_core.grids import Floats, require_same_grid
 from service.storage.changes import Cut
 from service.storage.ledger import LedgerStore
 from service.storage.models import ModelChange
-from service.storage.versions import BUDGET, Version, mean_over_band
+from service.storage.versions import BESIDE, BUDGET, Version, mean_over_band
 
 # How far two calibration curves differ, channel by channel.
 
@@ -110,7 +110,7 @@ def find_shift(before: Version, after: Version) -> float | None:
 
 
 def _without_spectra(version: Version) -> dict[str, Any]:
-    return {name: value for name, value in version.inputs.items() if name not in ("spectra", BUDGET)}
+    return {name: value for name, value in version.inputs.items() if name not in ("spectra", BESIDE, BUDGET)}
 
 
 def _members(chain: ReferenceChain | None) -> frozenset[tuple[str, int]] | None:
@@ -140,7 +140,7 @@ def _total_error(curve: CalibrationCurve) -> Floats:
 # mean and what else is plain. Tilt and curvature are the Legendre polynomials 1 and 2 over the band
 # (`lbacal_core.drift.events`): 1 at its top, where the bottom has -1 and 1, and the middle of the curvature -1/2.
 
-PLAIN, BESIDE = 3.0, 1.0 / 3.0
+PLAIN, LEAST_SHARE = 3.0, 1.0 / 3.0
 """A part beside the most significant one is told from so many standard deviations on, and from this share of it."""
 TILT = "tilt"
 Shape = Mapping[str, Mapping[str, float]]
@@ -197,7 +197,7 @@ def _rank_shapes(of_mean: float, shape: Shape, frequency_mhz: Floats) -> list[_P
         for name, one in shape.items()
     ]
     most = max(of_mean, *(part.significance for part in found))
-    least = min(most, max(PLAIN, BESIDE * most))
+    least = min(most, max(PLAIN, LEAST_SHARE * most))
     told = [part for part in found if part.significance >= least]
     return sorted(told, key=lambda part: -part.significance)
 

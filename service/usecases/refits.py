@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -15,7 +15,7 @@ from lbacal_core.simulation.simulation import Simulation
 from service.errors import ConflictError
 from service.storage.database import Database, Stores
 from service.storage.jobs import Job, Order, Part
-from service.storage.sums import KeptPiece, Told, read_pieces
+from service.storage.sums import KeptPiece, Sums, Told, read_pieces
 from service.storage.versions import Examined, Version
 from service.usecases.calibrations import select_paths
 from service.usecases.fits import (
@@ -37,6 +37,8 @@ from service.usecases.windows import ALONE, Neighbours
 from service.wire.bodies import RefitBody
 
 KIND = "refit"
+MOST_RECALLED = 8
+"""So many of the last versions of a window are looked through for the one of before a decision that was undone."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +97,10 @@ class Refits:
         made = self.fits.make(whole, wanted, neighbours)
         gains = self.payoff.measure(whole, wanted, known)
         with self.database.write() as stores:
-            kept = self._keep(stores, made.versions, part)
+            said = _read_said(stores, block) if part.is_due else {}
+            kept = self._keep(stores, made.versions, part, said)
+            is_night = part.is_due and part.request["promote"]
+            withdrawn = list(_withdraw_gaps(stores, made.versions, part, said)) if is_night else []
             if part.request["promote"]:
                 keep_fit(stores, block, made, kept.told)
             if kept.result["calibrations"]:
@@ -103,7 +108,7 @@ class Refits:
             stores.models.put_gains(gains)
             # the end of the part before the promotions, whose instant must be the last thing before the commit
             stores.jobs.complete(part, worker, kept.result, self.clock())
-            stores.ledger.append(kept.promotions, self.clock)
+            stores.ledger.append([*kept.promotions, *withdrawn], self.clock)
 
     def _read(self, stores: Stores, part: Part) -> Wanted:
         name = part.request.get("model")
@@ -129,7 +134,7 @@ class Refits:
             stores.ledger.lock()
             if _explain_other_model(stores, part) or not is_still_told(stores, pieces):
                 return False
-            kept = self._keep(stores, versions, part)
+            kept = self._keep(stores, versions, part, {})
             stores.versions.confirm(found.examined)
             if versions:
                 keep_told(stores, later.block, pieces, kept.told)
@@ -152,7 +157,7 @@ class Refits:
             budget = None if name is None else parse_budget(stores.budgets.get(name))
         return self.fits.make(self.fits.fit_causes(spectra, wanted.model), of_path, neighbours, budget).versions
 
-    def _keep(self, stores: Stores, made: list[Version], part: Part) -> _Kept:
+    def _keep(self, stores: Stores, made: list[Version], part: Part, said: Said) -> _Kept:
         """Store new versions, each with the objection of the gate if promotion was asked for.
 
         What the gate compares with must not change before the promotions are written: the ledger is locked first. Due
@@ -163,43 +168,62 @@ class Refits:
             return _Kept({"calibrations": [version.id for version in made], "promoted": [], "gated": {}}, [])
         stores.ledger.lock()
         windows = dict.fromkeys(version.window for version in made)
-        kept = [self._keep_window(stores, [v for v in made if v.window == window], part) for window in windows]
+        kept = [self._keep_window(stores, [v for v in made if v.window == window], part, said) for window in windows]
         return _Kept.of(kept)
 
-    def _keep_window(self, stores: Stores, made: list[Version], part: Part) -> _Kept:
-        """Store the new versions of one window."""
+    def _keep_window(self, stores: Stores, made: list[Version], part: Part, said: Said) -> _Kept:
+        """Store the new versions of one window.
+
+        What somebody put into effect since due work spoke of the window last stays, while it would say the same again.
+        Where windows are again what they were, the version of then answers again, if C hardly moved since.
+        """
         since, until = made[0].window
         middle = (since + until) // 2
         scopes = [version.scope for version in made]
         before = find_predecessors(stores.ledger, scopes, middle)
-        predecessors = stores.versions.get_many(before.values())
         standing = find_standing(stores, scopes, since, until)
+        own = {scope: said[scope, since, until] for scope in scopes if (scope, since, until) in said}
+        aside = {scope: one.calibration for scope, one in own.items() if standing.get(scope) != one.calibration}
+        versions = stores.versions.get_many({*before.values(), *standing.values(), *aside.values()})
         change = stores.models.last_change(part.request["station"], since, until)
         superseded, cuts = _explain_other_model(stores, part), stores.changes.cuts(part.request["station"])
         gated = {
-            v.id: superseded or self.gate.objection(v, predecessors.get(before.get(v.scope, "")), change, cuts)
+            v.id: superseded or self.gate.objection(v, versions.get(before.get(v.scope, "")), change, cuts)
             for v in made
         }
-        news, examined = list(made), []
-        in_effect = {scope: predecessors[name] for scope, name in standing.items()}
-        if part.is_due:
-            examined = [one for v in made if gated[v.id] is None and (one := _examine(v, in_effect.get(v.scope)))]
-            confirmed = {one.inputs for one in examined}
-            news = [v for v in made if v.id not in confirmed]
-            stores.versions.confirm(examined)
+        examined = dict[Scope, Examined]()
+        stays = set[Scope]()
+        for v in made if part.is_due else []:
+            name = aside.get(v.scope) or standing.get(v.scope)
+            is_same = v.id == name
+            one = None if is_same else _examine(v, versions.get(str(name))) or _find_again(stores, v, name, versions)
+            if gated[v.id] is None and one is not None:
+                examined[v.scope] = one
+                versions |= stores.versions.get_many([one.calibration])
+            is_again = v.scope in aside and (is_same or (one is not None and one.calibration == name))
+            if is_again or (v.scope not in standing and _is_set_apart(stores, v, said)):
+                stays.add(v.scope)
+        news = [v for v in made if v.scope not in examined]
+        stores.versions.confirm(list(examined.values()))
         stores.versions.add([v.with_gate(gated[v.id]) for v in news])
-        answering = set(standing.values())
-        if part.is_due:
-            answering |= _list_answering(stores, scopes, since, until)
-        passed = [v for v in news if gated[v.id] is None and v.id not in answering]
-        promoted = [Promotion(0, v.scope, since, until, v.id, 0, part.by, part.reason) for v in passed]
+        passed = {v.scope: v.id for v in news if gated[v.id] is None}
+        answers = {scope: one.calibration for scope, one in examined.items()} | passed
+        promoted = [
+            Promotion(0, scope, since, until, name, 0, part.by, part.reason)
+            for scope, name in answers.items()
+            if scope not in stays and standing.get(scope) != name
+        ]
         objections = {name: objection for name, objection in gated.items() if objection is not None}
-        ids = [v.id for v in news]
-        result = {"calibrations": ids, "promoted": [v.id for v in passed], "gated": objections}
-        new = {v.scope: tell(v, is_in_effect=v in passed or standing.get(v.scope) == v.id) for v in news}
-        told = new | {one.scope: tell(in_effect[one.scope], is_in_effect=True) for one in examined}
-        of_window = {(scope, since, until): one for scope, one in told.items()}
-        return _Kept({**result, "examined": len(examined)}, promoted, of_window)
+        result = {
+            "calibrations": [v.id for v in news], "promoted": [one.calibration for one in promoted],
+            "gated": objections, "examined": len(examined),
+        }  # fmt: skip
+        told = {v.scope: tell(v, is_in_effect=v.id in (passed.get(v.scope), standing.get(v.scope))) for v in news}
+        told |= {scope: tell(versions[one.calibration], is_in_effect=True) for scope, one in examined.items()}
+        of_window = {
+            (scope, since, until): own.get(scope, one) if scope in stays else one for scope, one in told.items()
+        }
+        return _Kept(result, promoted, of_window)
 
 
 @dataclass(frozen=True)
@@ -222,19 +246,59 @@ class _Kept:
         return cls(result, [promotion for each in kept for promotion in each.promotions], told)
 
 
-def _list_answering(stores: Stores, scopes: Sequence[Scope], since: Instant, until: Instant) -> set[str]:
-    """Versions in effect somewhere within a window.
+Said = Mapping[TellKey, Told]
+"""What due work put into effect last, by scope and window."""
 
-    What is in effect in the rest of the window of one of them, somebody put there since: due work leaves it.
-    """
-    promotions = stores.ledger.standing(set(scopes), since, until)
-    return {
+
+def _read_said(stores: Stores, now: Sums) -> Said:
+    """What was put into effect when a fit of a block was kept last."""
+    kept = stores.sums.get(now.kind, now.scope, now.since, now.until)
+    pieces = [] if kept is None else read_pieces(kept.arrays)
+    return {(one.scope, of.since, of.until): one for of in pieces for one in of.told if one.is_in_effect}
+
+
+def _is_set_apart(stores: Stores, version: Version, said: Said) -> bool:
+    """Whether a version answers in a part of its window, and in all the rest what somebody put there."""
+    since, until = version.window
+    stretches = timeline(stores.ledger.standing([version.scope], since, until), version.scope)
+    inside = {
         one.calibration
-        for scope in scopes
-        for one in timeline([p for p in promotions if p.scope == scope], scope)
-        if one.start is not None and one.start < until and (one.end is None or one.end > since)
-        and one.calibration is not None
-    }  # fmt: skip
+        for one in stretches
+        if (one.start is None or one.start < until) and (one.end is None or one.end > since)
+    }
+    names = {one.calibration for (scope, *_), one in said.items() if scope == version.scope}
+    is_somebodys = bool(inside - names - {version.id})
+    return version.id in inside and None not in inside and is_somebodys
+
+
+def _find_again(stores: Stores, new: Version, name: str | None, versions: Mapping[str, Version]) -> Examined | None:
+    """The fit as a confirmation of what answered in its window when that was cut, or its mean made, as it is again."""
+    if name is not None and find_shift(versions[name], new) is not None:
+        return None
+    promotions = stores.ledger.of_interval(new.scope, *new.window, MOST_RECALLED)
+    then = stores.versions.get_many([str(one.calibration) for one in promotions])
+    names = [] if new.id in then else [str(one.calibration) for one in promotions]
+    return next((one for name in names if (one := _examine(new, then[name]))), None)
+
+
+def _withdraw_gaps(stores: Stores, made: Sequence[Version], part: Part, said: Said) -> Iterator[Promotion]:
+    """Withdraw what due work fitted over a change where the pieces of the window give no C.
+
+    It would answer there for ever, and in a service that got the same spectra after the change nothing does.
+    """
+    window = part.request["since"], part.request["until"]
+    for scope in dict.fromkeys(v.scope for v in made):
+        names = {one.calibration for (of, *_), one in said.items() if of == scope}
+        with_c = sorted(
+            v.window for v in made if v.scope == scope and (v.window == window or v.curves[0].c is not None)
+        )
+        edges = [window[0], *(edge for one in with_c for edge in one), window[1]]
+        for start, end in zip(edges[::2], edges[1::2], strict=True):
+            promotions = stores.ledger.standing([scope], start, end) if start < end else []
+            for one in timeline(promotions, scope):
+                since, until = max(one.start or start, start), min(one.end or end, end)
+                if one.calibration in names and since < until:
+                    yield Promotion(0, scope, since, until, None, 0, part.by, part.reason)
 
 
 def _explain_other_model(stores: Stores, part: Part) -> str | None:

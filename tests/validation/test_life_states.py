@@ -1,0 +1,88 @@
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+
+import pytest
+
+from service.storage.changes import DISMISSED, IN_FORCE
+from service.wire.bodies import DecisionBody
+from validation.life_states import Life, live
+from validation.life_world import standing_in
+from validation.machinery.records import verdicts_of
+
+
+@pytest.fixture
+def life() -> Iterator[Life]:
+    """A service without spectra, which at the end is held against one that is made anew."""
+    with standing_in():
+        made = Life()
+        yield made
+        made.teardown()
+
+
+def decide(life: Life, antenna: int, decision: str) -> None:
+    """Decide about the changes of an antenna, and let the nights follow."""
+    body = DecisionBody.model_validate({"decision": decision, "reason": "test"})
+
+    def act() -> None:
+        for one in life.open_changes():
+            if antenna in one.change.antennas:
+                life.factory.changes.decide(one.number, body, "test")
+
+    life.do(decision, act, is_night=True)
+
+
+def test_a_change_in_a_year_without_spectra_left_the_years_around_it_joined(life: Life) -> None:
+    """Years are not joined over a change, but only a change within a year made that year due."""
+    life.begin({2014, 2016}, set())
+    life.enter({0}, "2015-06-20", None, is_night=True)
+    decide(life, 0, DISMISSED)
+
+
+def test_a_change_at_the_turn_of_a_year_left_the_years_joined(life: Life) -> None:
+    life.begin({2014, 2015}, {4, 5, 6, 7, 8, 9, 10, 11})
+    life.enter({0}, "2015-01-01", None, is_night=True)
+
+
+def test_a_version_that_was_confirmed_did_not_come_back_when_a_decision_was_undone(life: Life) -> None:
+    """Months that were no news had confirmed it; the fit that was made again had another name."""
+    life.begin({2014}, {1, 2, 3})
+    life.enter({0}, "2014-09-20", None, is_night=True)
+    for month in (1, 2, 3):
+        life.do(f"late {month}", partial(life.add, [(2014, month)]), is_night=True)
+    for decision in (DISMISSED, IN_FORCE) * 2:
+        decide(life, 0, decision)
+
+
+def test_entering_a_change_of_two_antennas_put_one_of_two_that_were_dismissed_in_force(life: Life) -> None:
+    life.begin({2014}, set())
+    for antenna in (0, 2):
+        life.enter({antenna}, "2014-09-20", None, is_night=False)
+        decide(life, antenna, DISMISSED)
+    life.enter({0, 2}, "2014-09-20", None, is_night=False)
+
+
+def test_a_version_of_the_year_answered_behind_a_change_after_which_nothing_is_recorded(life: Life) -> None:
+    """Its piece before the change has the same spectra, and so the same name: it was left in effect for the year."""
+    life.begin({2015, 2016}, {11, 12})
+    life.enter({0}, "2016-12-20", None, is_night=True)
+    decide(life, 0, DISMISSED)
+
+
+def test_a_version_of_the_year_answered_before_a_change_before_which_nothing_is_recorded(life: Life) -> None:
+    life.begin({2015}, set())
+    life.enter({3}, "2015-06-20", None, is_night=True)
+
+
+def test_nights_and_decisions_leave_what_follows_from_the_last_state() -> None:
+    """The suite's small instance of `./dev prove life_states`."""
+    row = live(0, sequences=1, steps=4)
+    assert row["failures"] == []
+    assert row["compared"] > 0
+
+
+def test_300_sequences_show_that_fewer_than_one_in_fifty_leaves_a_state() -> None:
+    whole, broken = {"sequences": 25, "failures": []}, {"sequences": 25, "failures": ["off"]}
+    for rows, verdict in (([whole] * 12, "shown"), ([whole] * 3, "undecided"), ([broken] * 12, "refuted")):
+        assert verdicts_of("life_states", "stand-in", rows) == {"broken": verdict}
