@@ -53,6 +53,7 @@ YEARS = (2014, 2015, 2016)
 SCATTER, SIGMA = 0.02, 0.01
 """Scatter of ln P of a month, and what it makes of the error of ln C of one month."""
 STEPPED, STEP_AT, POWER = 1, "2015-05-20", 0.85
+SIZE = POWER**-0.5 - 1.0
 """What the watch finds, once three months are there on either side of it."""
 MONTHS_OF_A_STEP = 3
 FEWEST = 2
@@ -257,9 +258,10 @@ def _report(_: Watch, years: Sequence[Sums]) -> dict[str, Any]:
     ]
     change = {
         "station": STATION, "members": [
-            {"station": STATION, "antenna": STEPPED, "dipole": dipole, "significance": 50.0} for dipole in "XY"
+            {"antenna": STEPPED, "dipole": dipole, "size": SIZE, "sigma": 0.001, "significance": 50.0}
+            for dipole in "XY"
         ],
-        "date_unix": at(STEP_AT) / MICROSECONDS, "date_sigma_days": 1.0, "size": POWER**-0.5 - 1.0, "sigma": 0.001,
+        "date_unix": at(STEP_AT) / MICROSECONDS, "date_sigma_days": 1.0, "size": SIZE, "sigma": 0.001,
         "shape": {name: {"value": 0.0, "sigma": 0.001} for name in ("tilt", "curvature")}, "is_known": False,
     }  # fmt: skip
     return {"changes": [change] if is_found(times) else [], "slopes": [], "trends": {}, "threshold_sigma": 5.0}
