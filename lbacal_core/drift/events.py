@@ -27,6 +27,8 @@ from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.blocks import SpectraBlock
 from lbacal_core.spectra.screening import DEAD, FEWEST_EVENTS, may_be_left_out, robust_sigma
 
+FAINTEST = 0.7
+"""Share of the noise of the receiver below which nothing is recorded: that noise is known to some ten percent."""
 MODES = ("gain", "tilt", "curvature")
 """What is followed: ln C in the mean over the band, and the coefficients of the Legendre polynomials 1 and 2 in it."""
 
@@ -67,12 +69,13 @@ def measure_event_modes(
     ratio = (block.power[rows] - behind) / signal
     total = weight.sum(axis=2)
     gain = (weight * ratio).sum(axis=2) / total
-    is_present, is_alive = block.is_present[rows], gain > np.exp(DEAD)
-    is_known = is_present & is_alive
+    is_recorded = block.is_present[rows] & (block.power[rows].sum(axis=2) > FAINTEST * behind.sum(axis=2))
+    is_alive = gain > np.exp(DEAD)
+    is_known = is_recorded & is_alive
 
     ln_c = np.full((*gain.shape, len(MODES)), np.nan)
-    # a dead path records no sky: that it is dead is one step, and its noise is none
-    ln_c[is_present & ~is_alive] = (-0.5 * DEAD, 0.0, 0.0)
+    # a receiver whose antenna is dead records no sky: that is one step, and its noise is none
+    ln_c[is_recorded & ~is_alive] = (-0.5 * DEAD, 0.0, 0.0)
     ln_c[is_known, 0] = -0.5 * np.log(gain[is_known])
     ln_c[is_known, 1:] = -0.5 * _fit_modes(ratio / np.where(is_known, gain, 1.0)[:, :, None], weight, modes)[is_known]
     return EventModes(block.antennas[rows], block.time_unix, ln_c)

@@ -131,9 +131,16 @@ def test_a_gain_of_all_channels_has_neither_tilt_nor_curvature():
     assert np.abs(found.ln_c[0, :, 1:]).max() < 1e-9
 
 
-def test_an_event_with_less_power_than_the_noise_of_the_receiver_has_the_value_of_a_dead_path():
+def test_an_event_with_less_power_than_the_noise_of_the_receiver_has_no_value():
     block, curve, instrument, sky = make_case(np.ones(10), np.random.default_rng(1), noise=0.0)
     block.power[0, 3] = 0.5 * (N_RCU * RECEIVER * SCALE + N_ADC)
+    found = measure_event_modes(block, {7: curve}, Simulation(instrument, sky))
+    assert np.isnan(found.ln_c[0, :, 0]).tolist() == [k == 3 for k in range(10)]
+
+
+def test_an_event_of_the_receiver_alone_has_the_value_of_a_dead_antenna():
+    block, curve, instrument, sky = make_case(np.ones(10), np.random.default_rng(1), noise=0.0)
+    block.power[0, 3] = 0.99 * (N_RCU * RECEIVER * SCALE + N_ADC)
     found = measure_event_modes(block, {7: curve}, Simulation(instrument, sky))
     assert (np.abs(found.ln_c[0]) > 1e-6).tolist() == [[k == 3, False, False] for k in range(10)]
     assert found.ln_c[0, 3, 0] == pytest.approx(0.5 * np.log(10.0)), "a tenth of its power"
