@@ -73,10 +73,11 @@ class Calibration(Result):
         """C of one curve: (station, antenna, dipole), (station, dipole) or (dipole,) by what was fitted."""
         wanted = key if isinstance(key, tuple) else (key,)
         for curve in self.report.curves:
-            if tuple(part for part in curve.path if part is not None) == wanted:
+            own = (*curve.owner, curve.dipole)
+            if tuple(part for part in own if part is not None) == wanted:
                 if curve.c is None:
                     raise BadInputError(curve.name, "a curve that converged", curve.status)
-                rows: CurveTable = self.table.of_path(*curve.path)
+                rows: CurveTable = self.table.of_path(*own)
                 return rows
         names = [curve.name for curve in self.report.curves]
         raise UnknownNameError("curve", " ".join(str(part) for part in wanted), names[:SHOWN_NAMES])

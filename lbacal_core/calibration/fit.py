@@ -241,7 +241,10 @@ def _fit_paths(
     status[at[is_fitted & ~solution.is_converged]] = NOT_CONVERGED
     status[at[is_fitted & ~(solution.is_identifiable & is_usable)]] = NOT_IDENTIFIABLE
     has_c = status == CONVERGED
-    # a window is judged by itself: what is wrong with another is no misfit of this one
+    # a window is judged by itself, where it can be: what is wrong with another is no misfit of this one
+    rest = np.flatnonzero(~(alone.is_converged & alone.is_identifiable))
+    alone, free_alone = alone.exchange(rest, solution.take(rest)), free_alone.copy()
+    free_alone[rest] = is_free[rest]
     good = np.flatnonzero(has_c & ~is_small)
     of_good = np.searchsorted(at, good)
     fitted = FittedPaths(

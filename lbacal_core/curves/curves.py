@@ -361,7 +361,7 @@ class CalibrationCurve:
 
     @property
     def path(self) -> tuple[str | None, int | None, str]:
-        """Station, antenna and dipole; station and antenna are None where it is that of a mean."""
+        """The path or mean that was fitted: station and antenna (None where it is a mean), and dipole."""
         return self.station, self.antenna, str(self.dipole)
 
     @property

@@ -11,7 +11,7 @@ from validation.moving import judge, pass_years
 
 @pytest.fixture(scope="module")
 def row() -> Row:
-    """Another antenna model's worth of gain in all four antennas of a station, on a date of its log book."""
+    """The antennas of a station are exchanged on a date of its log book: another gain, with tilt and curvature."""
     return pass_years(2)
 
 
