@@ -117,7 +117,7 @@ class BulkPostgres:
         """Store what is not there, in one transaction."""
         with self._connection.cursor() as cursor:
             cursor.execute("CREATE TEMP TABLE staging (LIKE spectrum) ON COMMIT DROP")
-            with cursor.copy("COPY staging FROM STDIN (FORMAT BINARY)") as copy:
+            with cursor.copy("COPY staging (path, event, time_us, blocks, power) FROM STDIN (FORMAT BINARY)") as copy:
                 copy.set_types(["int4", "int8", "int8", "int4", "bytea"])
                 for row in rows:
                     copy.write_row(row)
