@@ -22,7 +22,6 @@ from typing import Any
 from urllib.parse import quote
 
 import h5py
-import httpx2
 import numpy as np
 import schemathesis
 from hypothesis import HealthCheck, Phase, given, seed, settings, strategies
@@ -47,7 +46,7 @@ from validation.machinery.claims import Found, exactly, rate_of
 from validation.machinery.parts import Part, Row
 from validation.machinery.tables import by
 from validation.running.postgres import open_databases
-from validation.running.processes import Process, make_key, run_service
+from validation.running.processes import Process, get, make_key, post, run_service
 
 EXAMPLES = 16
 """Requests to each route and way of asking in a trial."""
@@ -74,7 +73,7 @@ def ask_routes(number: int) -> Row:
     statuses: Counter[int] = Counter()
     with _server(DATABASES[number % 2]) as (address, keys, _):
         for path, body in (("spectra", SPECTRA), ("refits", REFIT), ("promotions", PROMOTION)):
-            httpx2.post(f"{address}/v1/{path}", json=body, headers=keys[0]).raise_for_status()
+            post(f"{address}/v1/{path}", json=body, headers=keys[0]).raise_for_status()
         operations: Any = schemathesis.openapi.from_url(f"{address}/openapi.json").get_all_operations()
         for found in operations:
             operation = found.ok()
@@ -96,7 +95,7 @@ def _ask_nasty(operation: Any, address: str, key: Key, statuses: Counter[int], f
             for other in of_path:
                 path = path.replace(f"{{{other}}}", quote(text, safe="") if other == name else "1")
             asked = {name: text} if name in of_query else {}
-            answer = httpx2.get(f"{address}{path}", params=asked, headers=key, timeout=PATIENCE_S)
+            answer = get(f"{address}{path}", params=asked, headers=key, timeout=PATIENCE_S)
             statuses[answer.status_code] += 1
             if answer.status_code >= 500 and operation.path != "/readyz":
                 failures.append(f"GET {operation.path}, {name}={text!r}: {answer.status_code}")
@@ -305,10 +304,10 @@ def send_bomb(number: int) -> Row:
         slowest, statuses = 0.0, Counter[int]()
         for _ in range(2):
             began = time.monotonic()
-            answer = httpx2.post(f"{address}/v1/{route}", content=content, headers=headers, timeout=120)
+            answer = post(f"{address}/v1/{route}", content=content, headers=headers, timeout=120)
             slowest = max(slowest, time.monotonic() - began)
             statuses[answer.status_code] += 1
-        if httpx2.get(f"{address}/v1/jobs", timeout=10).status_code != 200:
+        if get(f"{address}/v1/jobs", timeout=10).status_code != 200:
             failures.append("the next request is not answered")
         memory = _peak_mb(process.number)
     failures += [f"{status}" for status in statuses if status not in (400, 413, 422)]

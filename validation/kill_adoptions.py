@@ -39,7 +39,7 @@ from validation.kills import (
     victims_of,
 )
 from validation.machinery.parts import Part, Row
-from validation.running.processes import is_ready, run_service, wait_until
+from validation.running.processes import get, is_ready, post, run_service, wait_until
 
 KILLS = 20
 CAMPAIGN = TwinSettings(stations=("CS002",), antennas=2, years=0.99, events_per_year=120)
@@ -114,7 +114,7 @@ def _run(folder: Path, database: Killable, kills: int, seed: int) -> Row:
         address, key, victims = service.address, service.key, victims_of(service, database)
         wait_until(lambda: is_ready(address), "the server")
         wait_until(lambda: is_idle(address, "investigation"), "the night")
-        (found,) = httpx2.get(f"{address}/v1/investigations").json()["investigations"]
+        (found,) = get(f"{address}/v1/investigations").json()["investigations"]
         before = _read_in_effect(address)
         adopter = Adopter(address, key, found["id"])
         thread = threading.Thread(target=adopter.run, daemon=True)
@@ -155,12 +155,12 @@ def _count(store: Database, adopter: Adopter, *, is_restored: bool) -> Row:
 def _ask_for_investigation(address: str, key: str) -> None:
     """Ask, and be content with no answer: the process that would give it may be dead."""
     with suppress(httpx2.TransportError):
-        httpx2.post(f"{address}/v1/investigations", json=WINDOW, headers={"Authorization": f"Bearer {key}"}, timeout=5)
+        post(f"{address}/v1/investigations", json=WINDOW, headers={"Authorization": f"Bearer {key}"}, timeout=5)
 
 
 def _read_in_effect(address: str) -> Any:
     """What every path of the station is told, or that nothing is in effect."""
-    answer = httpx2.get(f"{address}/v1/calibrations/effective", params=ASKED, timeout=60)
+    answer = get(f"{address}/v1/calibrations/effective", params=ASKED, timeout=60)
     return [(c["calibration"], c["c"], c["c_sigma_stat"]) for c in answer.json().get("curves", [])]
 
 

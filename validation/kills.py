@@ -42,7 +42,7 @@ from validation.machinery.parts import Part, Row
 from validation.running.clients import Clients, Record, ask_pinned, bodies_of_events
 from validation.running.ledger import open_factory
 from validation.running.postgres import run_server
-from validation.running.processes import Service, is_ready, run_command, run_service, wait_until, write_coarse_sky
+from validation.running.processes import Service, get, is_ready, run_command, run_service, wait_until, write_coarse_sky
 
 KILLS = 40
 DONE = "SELECT job FROM job_part WHERE state = 'done' OR substr(error, 1, 9) = 'no usable'"
@@ -218,7 +218,7 @@ def victims_of(service: Service, database: Killable) -> dict[str, Callable[[], N
 
 def _is_at_work(address: str) -> bool:
     try:
-        jobs = httpx2.get(f"{address}/v1/jobs", params={"limit": 20}, timeout=30).json()["jobs"]
+        jobs = get(f"{address}/v1/jobs", params={"limit": 20}, timeout=30).json()["jobs"]
     except (httpx2.TransportError, KeyError):
         return False  # nobody there, or no database
     return any(job["state"] == "running" for job in jobs)
@@ -233,7 +233,7 @@ def end_the_night(service: Service, is_over: Callable[[], bool]) -> None:
 
 def is_idle(address: str, kind: str = "") -> bool:
     """Whether every job has ended, and there was one of a kind."""
-    jobs = httpx2.get(f"{address}/v1/jobs", params={"limit": 1000}, timeout=30).json()["jobs"]
+    jobs = get(f"{address}/v1/jobs", params={"limit": 1000}, timeout=30).json()["jobs"]
     return all(job["state"] in ("done", "failed") for job in jobs) and kind in ["", *(job["kind"] for job in jobs)]
 
 
@@ -250,7 +250,7 @@ def _stays_idle(address: str) -> bool:
 def _read_in_effect(address: str) -> InEffect:
     found: InEffect = {}
     for date in DATES:
-        curves = httpx2.get(f"{address}/v1/calibrations/effective", params={"at": date}, timeout=60).json()["curves"]
+        curves = get(f"{address}/v1/calibrations/effective", params={"at": date}, timeout=60).json()["curves"]
         for curve in curves:
             key = (date, curve["station"], str(curve["antenna"]), curve["dipole"])
             found[key] = Told(curve["calibration"], _floats(curve["c"]), _floats(curve["c_sigma_stat"]))

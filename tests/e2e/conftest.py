@@ -9,7 +9,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-import httpx2
 import numpy as np
 import pytest
 from playwright.sync_api import Browser, expect, sync_playwright
@@ -21,7 +20,7 @@ from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.fault import Fault
 from lbacal_twin.faults.sky import LstOffset
 from lbacal_twin.settings import TwinSettings
-from validation.running.processes import Process, find_free_port, is_ready, running, wait_until
+from validation.running.processes import Process, find_free_port, get, is_ready, running, wait_until
 
 QUIET = [
     "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
@@ -94,7 +93,7 @@ def serve(folder: Path, settings: TwinSettings, last: set[str], faults: Sequence
 
 def _is_idle(url: str, last: set[str]) -> bool:
     """Whether all that the night enqueued has ended, the kinds that come last among it."""
-    jobs = httpx2.get(f"{url}/v1/jobs").json()["jobs"]
+    jobs = get(f"{url}/v1/jobs").json()["jobs"]
     are_last_there = last <= {job["kind"] for job in jobs}
     return are_last_there and all(job["state"] in ("done", "failed") for job in jobs)
 

@@ -4,7 +4,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import httpx2
 import pytest
 from playwright.sync_api import Browser, Locator, Page, expect
 
@@ -12,7 +11,7 @@ from lbacal.instants import DAY_US, parse_instant
 from service.config import Settings
 from service.factory import Factory
 from service.storage.changes import DRIFT, Change, Evidence
-from validation.running.processes import Process, find_free_port, running, wait_until
+from validation.running.processes import Process, find_free_port, is_ready, running, wait_until
 
 
 @pytest.fixture
@@ -98,14 +97,8 @@ def closed(service: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[s
     environment = service.environment | {"LBACAL_OPEN_READS": "false"}
     address = f"http://127.0.0.1:{port}"
 
-    def answers() -> bool:
-        try:
-            return httpx2.get(f"{address}/healthz").is_success
-        except httpx2.TransportError:
-            return False
-
     with running(Process(environment, log, "serve", "--port", str(port), "--api-only")):
-        wait_until(answers, "the server")
+        wait_until(lambda: is_ready(address, "healthz"), "the server")
         yield address
     assert service.environment["LBACAL_API_KEY"] not in log.read_text()
 

@@ -42,11 +42,23 @@ from service.worker import Worker
 from validation.running.postgres import run_postgres
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """What fits a campaign runs on one kind of database in the first tier, and on both in `./dev test --all`."""
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """What fits a campaign runs on SQLite in the first tier; what does so for long on PostgreSQL in the second.
+
+    Asked for by itself such a test runs on both; one that names its kinds of database runs on these.
+    """
+    left_out = []
+    is_suite = config.option.markexpr == "long"
     for item in items:
-        if "make_service" in getattr(item, "fixturenames", ()) and "postgresql" in item.name:
+        if "make_service" not in getattr(item, "fixturenames", ()):
+            continue
+        names_kinds = any(mark.args[0] == "database_url" for mark in item.iter_markers("parametrize"))
+        if is_suite and item.get_closest_marker("long") and "sqlite" in item.name and not names_kinds:
+            left_out.append(item)
+        elif "postgresql" in item.name:
             item.add_marker("long")
+    config.hook.pytest_deselected(items=left_out)
+    items[:] = [item for item in items if item not in left_out]
 
 
 CHANNELS = 4

@@ -13,7 +13,6 @@ from contextlib import closing
 from importlib.metadata import entry_points
 from pathlib import Path
 
-import httpx2
 import psycopg
 import pytest
 import typer
@@ -22,7 +21,7 @@ from lbacal.cli.main import ADDED, ENTRY_POINTS, add_commands, app
 from service.config import Settings
 from service.storage.database import Database
 from service.storage.migration import upgrade
-from validation.running.processes import Process, find_free_port, is_ready, run_command, running, wait_until
+from validation.running.processes import Process, find_free_port, get, is_ready, run_command, running, wait_until
 
 CHECK, UPGRADE, LIST = ("db", "check"), ("db", "upgrade"), ("keys", "list")
 COMMANDS = (CHECK, UPGRADE, LIST, ("worker", "--until-idle"), ("scheduler", "--once"), ("serve", "--port", "1"))
@@ -183,11 +182,9 @@ def test_every_line_of_a_server_is_json_and_holds_no_key(tmp_path: Path) -> None
     with running(Process(environment, log, "serve", "--port", str(port))):
         wait_until(lambda: is_ready(address), "the server and its worker")
         key = run_command(environment, "keys", "create", "--scope", "read").splitlines()[-1]
-        told = httpx2.get(
-            f"{address}/v1/jobs?limit=7", headers={"Authorization": f"Bearer {key}", "X-Request-ID": "q1"}
-        )
+        told = get(f"{address}/v1/jobs?limit=7", headers={"Authorization": f"Bearer {key}", "X-Request-ID": "q1"})
         assert told.headers["x-request-id"] == "q1"
-        state = httpx2.get(f"{address}/v1/status").json()
+        state = get(f"{address}/v1/status").json()
     assert sorted(one["kind"] for one in state["processes"]) == ["api", "scheduler", "worker"]
     text = log.read_text()
     lines = [json.loads(line) for line in text.splitlines() if not line.startswith("lbacal serves ")]
