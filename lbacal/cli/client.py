@@ -48,6 +48,7 @@ def effective(
     gap: Annotated[str | None, typer.Option(help="hold: answer with the nearest where nothing is in effect.")] = None,
     scope: Annotated[str | None, typer.Option(help="array: its reference chain, which is nobody's cable.")] = None,
     tag: Annotated[str | None, typer.Option(help="Answer as it was frozen under this name.")] = None,
+    why: Annotated[bool, typer.Option("--why", help="Say in a sentence why it is this version.")] = False,
     kind: Annotated[Format, typer.Option("--format", help="How to print.")] = Format.table,
     output: Annotated[Path | None, typer.Option(help="File to write instead of printing.")] = None,
 ) -> None:
@@ -72,7 +73,7 @@ def effective(
         sys.stdout.buffer.write(body)
     else:
         for curve in json.loads(body)["curves"]:
-            print_curve(curve)
+            print_curve(curve, is_explained=why)
 
 
 def sync(tag: Annotated[str, typer.Argument(help="Name of the tag.")]) -> None:
@@ -130,7 +131,7 @@ def print_warnings(receipt: dict[str, Any]) -> None:
         print(f"lbacal: warning: {sentence}", file=sys.stderr)
 
 
-def print_curve(curve: dict[str, Any]) -> None:
+def print_curve(curve: dict[str, Any], *, is_explained: bool = False) -> None:
     """Print a curve in effect: who answers, for how long, and C(nu)."""
     path = name_path(curve["station"], curve["antenna"], curve["dipole"])
     is_path = curve["antenna"] is not None
@@ -141,6 +142,8 @@ def print_curve(curve: dict[str, Any]) -> None:
     through = f"{mean} through its own cable {chain['cable']}" if chain and is_path else mean
     until = valid["to"] or "further notice"
     print(f"  answered by {curve['answered_by']}{through}, valid from {valid['from']} to {until}")
+    if is_explained:
+        print(f"  why: {curve.get('why', 'this answer is of a release that does not say')}")
     if curve["flag_reason"]:
         print(f"  uncertain: {curve['flag_reason']}")
     print("  frequency_mhz             c  c_sigma_stat  c_sigma_sys   (V per ADC unit)  flag")

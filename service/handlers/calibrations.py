@@ -171,8 +171,9 @@ def _write_curve(curve: CurveInEffect) -> WrittenCurve:
 
 
 def _describe_curve(curve: CurveInEffect, told: ToldCurve) -> dict[str, Any]:
+    epoch = answers.describe_stretch(curve.epoch.start, curve.epoch.end, because=curve.epoch.because)
     return answers.describe_curve_in_effect(
-        told, curve.chain, curve.promotion, curve.trace, curve.changed, is_held=curve.is_held
+        told, curve.chain, curve.promotion, curve.trace, curve.changed, epoch, curve.why, is_held=curve.is_held
     )
 
 
@@ -183,7 +184,7 @@ def _keeping(*ids: str) -> str:
 
 def describe_version_rows(version: Version) -> dict[str, Any]:
     """The converged curves of a version in the shape of an answer to "in effect at"."""
-    window = {"from": format_instant(version.since), "to": format_instant(version.until)}
+    window = answers.describe_stretch(version.since, version.until)
     more = {"calibration": version.id, "answered_by": version.scope.level, "valid": window, "held": False}
     curves = [
         {**curve.as_dict(), **more, "flag": curve.flags.tolist(), "flag_reason": None, "factor": [1.0] * len(curve.c)}

@@ -17,9 +17,8 @@ from service.handlers.ledger import PROMOTE, describe_changes
 from service.handlers.request import AntennaQuery, JobNumber, JsonBody, Limit, UseCases, Whole, answer, caller_with
 from service.handlers.routes import Order, acts, ordered, page_of, reads
 from service.storage.alarms import ACKNOWLEDGED, OPEN, STATES, Alarm, AlarmsAsked
-from service.storage.changes import KeptChange
+from service.storage.changes import KeptChange, concerns
 from service.usecases.calibrations import select_paths
-from service.usecases.changes import concerns
 from service.usecases.drift import SECOND_US, DriftSeries, MonthPoint, Step
 from service.usecases.keys import Caller
 from service.wire import answer_models as wire

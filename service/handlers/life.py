@@ -6,7 +6,6 @@ from typing import Any
 
 from fastapi import APIRouter, Request, Response
 
-from lbacal.instants import format_optional
 from lbacal_core.curves.validity import Instant
 from service.handlers.drift import describe_alarm, describe_change
 from service.handlers.models import describe_investigation, describe_model
@@ -14,7 +13,7 @@ from service.handlers.request import InPath, UseCases, Whole, answer
 from service.handlers.routes import reads
 from service.usecases.life import Life
 from service.wire.answer_models import LifeAnswer, VersionAnswer
-from service.wire.answers import fill_answer
+from service.wire.answers import describe_stretch, fill_answer
 
 router = APIRouter(tags=["life"])
 
@@ -43,13 +42,9 @@ def get_life_of_array(request: Request, use: UseCases) -> Response:
 
 def describe_life(life: Life, now: Instant) -> dict[str, Any]:
     """A life as JSON values."""
-
-    def during(start: Instant | None, end: Instant | None) -> dict[str, Any]:
-        return {"from": format_optional(start), "to": format_optional(end)}
-
     return {
-        "epochs": [{**during(one.start, one.end), "because": one.because} for one in life.epochs],
-        "in_effect": [{**during(one.start, one.end), "calibration": one.calibration} for one in life.in_effect],
+        "epochs": [describe_stretch(one.start, one.end, because=one.because) for one in life.epochs],
+        "in_effect": [describe_stretch(one.start, one.end, calibration=one.calibration) for one in life.in_effect],
         "versions": [fill_answer(VersionAnswer, one) for one in life.versions],
         "changes": [describe_change(one) for one in life.changes],
         "causes": [describe_model(one) for one in life.causes],

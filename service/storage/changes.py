@@ -10,14 +10,15 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 from sqlalchemy import Select, func, select, update
 
 from lbacal.instants import DAY_US, format_instant
-from lbacal_core.curves.validity import Instant, Promotion
+from lbacal_core.curves.validity import Instant, Promotion, Scope
 from lbacal_core.errors import name_path
 from service.errors import NotFoundError
 from service.schema.tables import change, change_decision, change_evidence
@@ -199,6 +200,34 @@ class KeptChange:
             if one.made <= as_of
         ]
         return replace(self, evidence=tuple(known))
+
+
+def concerns(kept: KeptChange, antenna: int | None, dipole: str | None) -> bool:
+    """Whether a change is of an antenna and dipole, where these are asked for."""
+    of = kept.change.paths
+    is_its = [antenna in (None, own) and (dipole is None or letter in (None, dipole)) for own, letter in of]
+    return not of or any(is_its)
+
+
+@dataclass(frozen=True)
+class Epoch:
+    """A time [start, end) in which nothing changed that is in force; `because` and `ended_by` are the changes there."""
+
+    start: Instant | None
+    end: Instant | None
+    because: int | None
+    ended_by: int | None
+
+
+def split_epochs(scope: Scope, changes: Iterable[KeptChange]) -> list[Epoch]:
+    """The times between the changes in force at which windows of a path are cut, or which are of a whole station."""
+    dates = {
+        one.change.date: one.number
+        for one in changes
+        if one.cuts and (scope.antenna is not None or not one.change.paths)
+    }
+    edges = [(None, None), *sorted(dates.items()), (None, None)]
+    return [Epoch(start, end, begins, ends) for (start, begins), (end, ends) in pairwise(edges)]
 
 
 class ChangeStore(Store):

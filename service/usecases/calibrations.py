@@ -15,7 +15,7 @@ from lbacal_core.errors import BadInputError, name_path
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import Remembered
 from service.errors import NotInEffectError
-from service.storage.changes import Cut
+from service.storage.changes import Epoch, KeptChange, concerns, split_epochs
 from service.storage.database import Database
 from service.storage.ledger import Neighbours
 from service.storage.versions import MICROSECONDS, Examined, Version
@@ -43,6 +43,8 @@ class CurveInEffect:
         The path's cable at the instant; None where that is not known, and then the instant is told as `without_cable`.
     changed
         What to know where the version answers on both sides of a change that was found; None where it does not.
+    epoch
+        The time between changes in force in which the instant lies.
     """
 
     path: Scope
@@ -53,6 +55,7 @@ class CurveInEffect:
     cable: str | None
     without_cable: Instant | None
     changed: str | None
+    epoch: Epoch
     version: Version = field(compare=False, repr=False)
     at: Instant = field(compare=False)
 
@@ -68,6 +71,21 @@ class CurveInEffect:
         """The reference chain where it is not the path's own curve."""
         is_own = self.version.scope.antenna is not None
         return None if is_own else self.version.chains.get(str(self.dipole))
+
+    @property
+    def why(self) -> str:
+        """Why it is this version: for what it was made and put into effect, and between which changes."""
+        made, acted, epoch = self.version, self.promotion, self.epoch
+        ends = [
+            f"change {number} of {format_instant(date)[:10]} {does} its epoch"
+            for number, date, does in ((epoch.because, epoch.start, "begins"), (epoch.ended_by, epoch.end, "ends"))
+            if date is not None
+        ]
+        return (
+            f"made {format_instant(made.made)} by {made.made_by} ({made.reason}), in effect since "
+            f"{format_instant(acted.at)} by {acted.by} ({acted.reason}); "
+            f"{' and '.join(ends) or 'no change in force bounds its epoch'}"
+        )
 
 
 @dataclass(frozen=True)
@@ -134,8 +152,8 @@ class Calibrations:
         self, at: Instant, paths: Sequence[Scope], as_of: Instant | None = None, *, hold: bool = False
     ) -> InEffect:
         """What answers for paths at an instant; an error naming the neighbours if nothing does for any of them."""
-        asked, cuts = self.database.ask(lambda s: (s.ledger.answers(paths, at, as_of), s.changes.cuts(as_of=as_of)))
-        of_antenna = _by_antenna(cuts)
+        asked, kept = self.database.ask(lambda s: (s.ledger.answers(paths, at, as_of), s.changes.kept(as_of=as_of)))
+        of_antenna = _by_antenna(kept)
         answers = _pick_decisive(asked)
         held: Mapping[Scope, Promotion] = {}
         if len(answers) < len(paths) and (hold or not answers):
@@ -155,6 +173,7 @@ class Calibrations:
                 promotion,
                 tuple(asked[path]),
                 _find_change(promotion, of_antenna),
+                _find_epoch(path, at, of_antenna),
                 is_held=path in held,
             )
         ]
@@ -198,6 +217,8 @@ class Calibrations:
             raise BadInputError("as_of", "an instant not later than now", format_instant(as_of))
         with self.database.read() as stores:
             edges, cables = stores.ledger.edges(as_of), stores.versions.cable_changes()
+            for cut in stores.changes.cuts(as_of=as_of):
+                edges.setdefault(cut.station, set()).add(cut.date)
         everywhere = edges.get(None, set())
         found: dict[str | None, list[Instant]] = {None: sorted(everywhere)}
         for station in sorted({record.station for record in self.instrument.antennas}):
@@ -240,31 +261,49 @@ def _list_curves(
     promotion: Promotion,
     trace: tuple[Promotion, ...],
     changed: str | None,
+    epoch: Epoch,
     *,
     is_held: bool,
 ) -> Iterator[CurveInEffect]:
     """The curve that a path is told; of an array that was asked for by itself, those of its reference chains."""
     if asked.antenna is None:
         for curve in version.curves:
-            yield CurveInEffect(asked, curve.dipole, promotion, is_held, trace, None, None, None, version, at)
+            yield CurveInEffect(asked, curve.dipole, promotion, is_held, trace, None, None, None, epoch, version, at)
         return
     cable = version.cable_of(asked, at)
     unknown = at if cable is None and str(asked.dipole) in version.chains else None
-    yield CurveInEffect(asked, asked.dipole, promotion, is_held, trace, cable, unknown, changed, version, at)
+    yield CurveInEffect(asked, asked.dipole, promotion, is_held, trace, cable, unknown, changed, epoch, version, at)
 
 
-def _by_antenna(cuts: Iterable[Cut]) -> dict[tuple[str | None, int | None], list[Cut]]:
-    found: dict[tuple[str | None, int | None], list[Cut]] = {}
-    for one in cuts:
-        found.setdefault((one.station, one.antenna), []).append(one)
+_ByAntenna = Mapping[tuple[str | None, int | None], Sequence[KeptChange]]
+"""Changes by the antennas that they are of; those of a whole station or the array stand under no antenna."""
+
+
+def _by_antenna(kept: Iterable[KeptChange]) -> _ByAntenna:
+    found: dict[tuple[str | None, int | None], list[KeptChange]] = {}
+    for one in kept:
+        antennas: Sequence[int | None] = one.change.antennas or [None]
+        for antenna in antennas if one.cuts else ():
+            found.setdefault((one.change.station, antenna), []).append(one)
     return found
 
 
-def _find_change(promotion: Promotion, cuts: Mapping[tuple[str | None, int | None], Sequence[Cut]]) -> str | None:
+def _find_change(promotion: Promotion, of_antenna: _ByAntenna) -> str | None:
     """What to know of a path's own version that answers on both sides of a change."""
-    station, antenna = promotion.scope.station, promotion.scope.antenna
-    own = [cut for key in {(station, None), (station, antenna)} for cut in cuts.get(key, ())]
+    station, antenna, _ = promotion.scope.parts
+    own = (cut for one in _of(of_antenna, station, antenna) for cut in one.cuts if cut.antenna in (None, antenna))
     return next((cut.warning for cut in own if cut.is_bridged_by(promotion)), None)
+
+
+def _find_epoch(path: Scope, at: Instant, of_antenna: _ByAntenna) -> Epoch:
+    """The epoch of a path, or of a whole station, in which an instant lies."""
+    own = [one for one in _of(of_antenna, path.station, path.antenna) if concerns(one, path.antenna, path.dipole)]
+    return next(one for one in split_epochs(path, own) if one.end is None or at < one.end)
+
+
+def _of(of_antenna: _ByAntenna, station: str | None, antenna: int | None) -> list[KeptChange]:
+    """The changes of an antenna and of its whole station."""
+    return [one for key in {(station, None), (station, antenna)} for one in of_antenna.get(key, ())]
 
 
 def _pick_decisive(asked: Mapping[Scope, Sequence[Promotion]]) -> dict[Scope, Promotion]:

@@ -165,10 +165,3 @@ def _require_open(kept: KeptChange, decision: str) -> KeptChange:
     if kept.decision == decision:
         raise ConflictError(f"change {kept.number} is {WORDS[decision]} already")
     return kept
-
-
-def concerns(kept: KeptChange, antenna: int | None, dipole: str | None) -> bool:
-    """Whether a change is of an antenna and dipole, where these are asked for."""
-    of = kept.change.paths
-    is_its = [antenna in (None, own) and (dipole is None or letter in (None, dipole)) for own, letter in of]
-    return not of or any(is_its)

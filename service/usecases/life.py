@@ -2,32 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from lbacal_core.curves.validity import Instant, Scope, Stretch, timeline
+from lbacal_core.curves.validity import Scope, Stretch, timeline
 from lbacal_core.instrument.instrument import Instrument
 from service.storage.alarms import STATES, Alarm, AlarmsAsked
-from service.storage.changes import KeptChange
+from service.storage.changes import Epoch, KeptChange, concerns, split_epochs
 from service.storage.database import Database
 from service.storage.models import Investigation
 from service.storage.versions import Version
 from service.usecases.alarms import Alarms
 from service.usecases.calibrations import select_paths
-from service.usecases.changes import Changes, concerns
+from service.usecases.changes import Changes
 from service.usecases.models import AdoptedModel, Models
 
 MOST = 1000
 """Versions, alarms and investigations of a life; the newest ones."""
-
-
-@dataclass(frozen=True)
-class Epoch:
-    """A time [start, end) in which nothing changed that is in force; `because` is the change that began it."""
-
-    start: Instant | None
-    end: Instant | None
-    because: int | None
 
 
 @dataclass(frozen=True)
@@ -74,15 +65,3 @@ class Lives:
             [one for one in alarms if one.news.scope in scope.widening or scope in one.news.scope.widening][::-1],
             list(made)[::-1],
         )
-
-
-def split_epochs(scope: Scope, changes: Iterable[KeptChange]) -> list[Epoch]:
-    """The times between the changes in force at which windows of a path are cut, or which are of a whole station."""
-    dates = {
-        one.change.date: one.number
-        for one in changes
-        if one.cuts and (scope.antenna is not None or not one.change.paths)
-    }
-    edges = sorted(dates)
-    starts: list[Instant | None] = [None, *edges]
-    return [Epoch(a, b, None if a is None else dates[a]) for a, b in zip(starts, [*edges, None], strict=True)]

@@ -241,6 +241,12 @@ class TraceAnswer(Answer):
     at: Moment
 
 
+class EpochAnswer(Stretch):
+    """A time in which nothing changed that is in force."""
+
+    because: int | None = Field(description="the change that began it")
+
+
 class CurveInEffectAnswer(CurveAnswer):
     """The curve that answers for a path, through the path's own cable."""
 
@@ -253,6 +259,8 @@ class CurveInEffectAnswer(CurveAnswer):
     valid: Validity
     held: bool
     trace: list[TraceAnswer]
+    epoch: EpochAnswer
+    why: str = Field(description="why it is this version, in a sentence")
 
 
 class BudgetTermAnswer(Answer):
@@ -713,12 +721,6 @@ class AdoptionPlanAnswer(ChangesAnswer):
     model: str
     cause: str = Field(description="what would be adopted, in one sentence")
     promise: list[float] = Field(description="gain in log-likelihood on as many events again, and its error")
-
-
-class EpochAnswer(Stretch):
-    """A time in which nothing changed that is in force."""
-
-    because: int | None = Field(description="the change that began it")
 
 
 class InEffectStretch(Stretch):

@@ -53,6 +53,11 @@ def _read_field(name: str, values: Sequence[Any], *, is_instant: bool) -> Any:
     return dict(found) if isinstance(found, Mapping) else list(found) if isinstance(found, tuple) else found
 
 
+def describe_stretch(start: Instant | None, end: Instant | None, **also: Any) -> dict[str, Any]:
+    """A half-open interval, and what is said of it."""
+    return {"from": format_optional(start), "to": format_optional(end), **also}
+
+
 def describe_promotion(promotion: Promotion) -> dict[str, Any]:
     """One line of the ledger."""
     return fill_answer(PromotionLine, promotion, promotion=promotion.number)
@@ -63,7 +68,9 @@ def describe_curve_in_effect(
     chain: ReferenceChain | None,
     promotion: Promotion,
     trace: Sequence[Promotion],
-    changed: str | None = None,
+    changed: str | None,
+    epoch: Mapping[str, Any],
+    why: str,
     *,
     is_held: bool,
 ) -> dict[str, Any]:
@@ -78,12 +85,14 @@ def describe_curve_in_effect(
         "flag": [UNCERTAIN if reasons and flag == OK else flag for flag in told.curve.flags.tolist()],
         "flag_reason": "; ".join(reasons) or None,
         "reference": None if chain is None else describe_reference(chain, told.cable),
-        "valid": {"from": format_instant(promotion.valid_from), "to": format_optional(promotion.valid_to)},
+        "valid": describe_stretch(promotion.valid_from, promotion.valid_to),
         "held": is_held,
         "trace": [
             {"scope": p.scope.level, "promotion": p.number, "calibration": p.calibration, "at": format_instant(p.at)}
             for p in trace
         ],
+        "epoch": epoch,
+        "why": why,
     }
 
 

@@ -15,6 +15,7 @@ from fastapi.testclient import TestClient
 from sqlalchemy import Engine, event
 
 from lbacal.calibration_files import read_calibrations
+from lbacal.instants import format_instant
 from lbacal.tables import rows_of
 from lbacal_core.curves.galcal import find_problems
 from lbacal_core.curves.validity import Scope
@@ -349,3 +350,48 @@ def test_short_ids_are_taken_where_one_version_has_them(client: TestClient, stor
         stores.versions.add(alike)
     refused = client.get(f"/v1/calibrations/{alike[0].id[:6]}")
     assert (refused.status_code, "more digits of the id of one version" in refused.json()["detail"]) == (422, True)
+
+
+def test_an_answer_has_its_epoch_and_says_why(client: TestClient, stored: Stored) -> None:
+    promote(client, stored["array"], "2013-01-01")
+    promote(client, stored["path"], "2014-01-01", "2015-01-01")
+    (curve,) = ask(client, **PATH).json()["curves"]
+    assert curve["epoch"] == {"from": None, "to": None, "because": None}
+    assert curve["why"].startswith("made 2019-12-31T00:00:00Z by test (test), in effect since ")
+    assert curve["why"].endswith("(test); no change in force bounds its epoch")
+    assert len({one["why"] for one in ask(client).json()["curves"]}) == 2
+    (reference,) = ask(client, scope="array", dipole="X").json()["curves"]
+    assert reference["epoch"] == curve["epoch"]
+
+
+def test_changes_in_force_bound_the_epoch_of_their_antenna_and_are_edges(
+    client: TestClient, stored: Stored, factory: Factory
+) -> None:
+    promote(client, stored["array"], "2013-01-01")
+    before = client.get("/v1/calibrations/edges", params={"as_of": (as_of := format_instant(factory.clock()))}).json()
+    numbers = []
+    for date in ("2014-03-01", "2014-09-01"):
+        body = {"paths": [{"station": "CS001", "antenna": 0}], "kind": "step", "at": {"value": date, "sigma_days": 1.0}}
+        answer = client.post("/v1/changes", json={**body, "reason": "an amplifier"})
+        assert answer.status_code == 201, answer.text
+        numbers.append(answer.json()["id"])
+    first, second = numbers
+    march, september = "2014-03-01T00:00:00Z", "2014-09-01T00:00:00Z"
+    for at, epoch in (
+        ("2014-02-28", {"from": None, "to": march, "because": None}),
+        ("2014-03-01", {"from": march, "to": september, "because": first}),
+        ("2014-10-01", {"from": september, "to": None, "because": second}),
+    ):
+        assert [curve["epoch"] for curve in ask(client, at, **PATH).json()["curves"]] == [epoch]
+        (other,) = ask(client, at, **PATH | {"antenna": 1}).json()["curves"]
+        assert other["epoch"] == {"from": None, "to": None, "because": None}
+        (pinned,) = ask(client, at, as_of=as_of, **PATH).json()["curves"]
+        assert pinned["epoch"]["because"] is None, "as it was known then"
+    (curve,) = ask(client, **PATH).json()["curves"]
+    assert f"change {first} of 2014-03-01 begins its epoch and change {second} of 2014-09-01 ends it" in curve["why"]
+    edges = client.get("/v1/calibrations/edges", params={"as_of": format_instant(factory.clock())}).json()["stations"]
+    of_station = {one["station"]: one["edges"] for one in edges}
+    assert {march, september} <= set(of_station["CS001"])
+    assert not {march, september} & set(of_station["CS002"])
+    assert before == client.get("/v1/calibrations/edges", params={"as_of": as_of}).json()
+    assert client.get("/v1/paths/CS001/0/X/life").json()["epochs"][1]["because"] == first
