@@ -31,6 +31,7 @@ _MODULES = {
     "analysis.data": ("import_data", "read", "simulate"),
     "analysis.fit": ("Calibration", "fit"),
     "analysis.investigate": ("Finding", "Investigation", "investigate"),
+    "analysis.life": ("Life", "life"),
     "analysis.lst_curve": ("LstComparison", "lst_curve"),
     "analysis.predict": ("Prediction", "predict"),
 }

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Annotated, Any
 
 import typer
@@ -218,97 +217,6 @@ def print_model(one: dict[str, Any]) -> None:
                 f"  {cause['cause']} in {cause['target']}, {gain['events']} new events of {window}: log-likelihood "
                 f"{gain['log_likelihood_gain']:+.1f}, expected {gain['expected']:.1f} ± {gain['expected_sigma']:.1f}"
             )
-
-
-# `lbacal changes`: what changed in paths, who says so, and decisions about that.
-
-
-def changes(
-    number: Annotated[int | None, typer.Argument(help="Change to decide about; without it they are listed.")] = None,
-    in_force: Annotated[bool, typer.Option("--in-force", help="Put it in force: windows are cut there.")] = False,
-    dismiss: Annotated[bool, typer.Option("--dismiss", help="Dismiss it: windows stay whole.")] = False,
-    enter: Annotated[str | None, typer.Option(help="Enter a change of an antenna or station at this instant.")] = None,
-    sigma_days: Annotated[float, typer.Option(help="Standard deviation of that instant, days.", min=0.0)] = 0.0,
-    reason: Annotated[str | None, typer.Option(help="Why; it is kept.")] = None,
-    station: Station = None,
-    antenna: Antenna = None,
-    dry_run: DryRun = False,
-) -> None:
-    """List what changed and when, whoever found it; decide about a change, or enter one.
-
-    Example: lbacal changes 3 --dismiss --reason "snow lay on the antenna" --dry-run
-    """
-    decisions = [name for name, is_asked in (("in_force", in_force), ("dismissed", dismiss)) if is_asked]
-    acts = len(decisions) + (enter is not None)
-    if acts > 1 or bool(decisions) != (number is not None) or (reason is None) == bool(acts):
-        raise BadInputError(
-            "changes", "NUMBER with --in-force or --dismiss, or --enter, and --reason", "another combination of options"
-        )
-    if enter is not None and (station is None or dry_run):
-        raise BadInputError("--enter", "--station, and no --dry-run", "another combination of options")
-    with Client() as client:
-        if number is not None:
-            body = {"decision": decisions[0], "reason": reason}
-            found = [client.send("POST", f"/v1/changes/{number}/decision", body, dry_run=dry_run or None)]
-        elif enter is not None:
-            entry: dict[str, Any] = {"at": {"value": enter, "sigma_days": sigma_days}, "reason": reason}
-            path = {"station": station, "antenna": antenna}
-            entry |= {"station": station} if antenna is None else {"paths": [path]}
-            found = [client.send("POST", "/v1/changes", entry)]
-        else:
-            found = client.get("/v1/changes", station=station, antenna=antenna)["changes"]
-    for one in found:
-        print_change(one)
-        if one.get("changes"):
-            print_act(one, dry_run=dry_run)
-    if not found:
-        print("no changes")
-
-
-def print_change(one: dict[str, Any]) -> None:
-    """Print a change in one line, and the decision about it in a second one."""
-    antennas = sorted({path["antenna"] for path in one["paths"] or ()})
-    named = ", ".join(map(str, antennas[:4])) + (f" and {len(antennas) - 4} more" if len(antennas) > 4 else "")
-    who = (one["station"] or "array") + (f" antenna {named}" if named else "")
-    value, sigma = (100 * (one["size"] or {}).get(name, 0.0) for name in ("value", "sigma"))
-    size = "" if one["size"] is None else f", C by {value:+.1f} ± {sigma:.1f} %"
-    state = "ended" if one["ended_at"] else one["decision"].replace("_", " ")
-    state += "" if one["refitted"] else ", not yet refitted"
-    by = ", ".join(dict.fromkeys(source["from"] for source in one["evidence"] if source["ended_at"] is None))
-    date = f"{one['at']['value'][:10]} ± {one['at']['sigma_days']:.1f} d"
-    print(f"{one['id']} {who}, {one['kind']} at {date}{size} ({state}{'; found by ' + by if by else ''})")
-    if one["reason"] != f"found by {one['by']}":
-        print(f"  {one['by']}: {one['reason']}")
-
-
-def life(
-    station: Annotated[str | None, typer.Argument(help="Station; without it the array.")] = None,
-    antenna: Annotated[int | None, typer.Argument(help="Antenna number, with a dipole.", min=0)] = None,
-    dipole: Annotated[str | None, typer.Argument(help="Letter of the dipole, such as X.")] = None,
-) -> None:
-    """Show the life of a path, a station or the array: what was in effect when, and all that happened to it.
-
-    Example: lbacal life CS002 17 X
-    """
-    if (antenna is None) != (dipole is None):
-        raise BadInputError("life", "STATION ANTENNA DIPOLE, STATION, or nothing", "an antenna or a dipole alone")
-    path = "/v1/life" if station is None else f"/v1/stations/{station}/life"
-    with Client() as client:
-        found = client.get(path if antenna is None else f"/v1/paths/{station}/{antenna}/{dipole}/life")
-    told: dict[str, Callable[[Any], tuple[str, str]]] = {
-        "in_effect": lambda one: (
-            one["from"] or "",
-            f"version {one['calibration'][:12]} answers until {one['to'] or OPEN}",
-        ),
-        "changes": lambda one: (one["at"]["value"], f"change {one['id']}, {one['decision'].replace('_', ' ')}"),
-        "causes": lambda one: (one["at"], f"{one['act']}: {one['changed']}"),
-        "alarms": lambda one: (one["raised_at"], f"alarm {one['alarm']} ({one['state']}): {one['sentence']}"),
-        "investigations": lambda one: (one["made_at"], f"investigation {one['id'][:12]}: {one['verdict']}"),
-    }
-    lines = [tell(one) for name, tell in told.items() for one in found[name]]
-    for at, words in sorted(lines):
-        print(f"{at[:10]} {words}")
-    print(f"{len(found['versions'])} versions, {len(found['epochs'])} epochs")
 
 
 # `lbacal alarms`: what is wrong, and saying that it is known.

@@ -22,7 +22,8 @@ from lbacal.cli.client import effective, ingest, jobs, refit, sync
 from lbacal.cli.fit import fit
 from lbacal.cli.import_ import import_
 from lbacal.cli.investigate import investigate
-from lbacal.cli.ledger import abandon, adopt, alarms, changes, life, models, promote, rollback, status, tag, withdraw
+from lbacal.cli.ledger import abandon, adopt, alarms, models, promote, rollback, status, tag, withdraw
+from lbacal.cli.life import changes, life
 from lbacal.cli.lst_curve import lst_curve
 from lbacal.cli.predict import predict
 from lbacal.cli.sky_power import antenna_gain, sky_power
@@ -67,11 +68,12 @@ _COMPUTING: tuple[Callable[..., None], ...] = (
     audit, fit, budget, investigate, predict, lst_curve, sky_power, antenna_gain, spectra
 )  # fmt: skip
 _ASKING: tuple[Callable[..., None], ...] = (
-    ingest, refit, promote, withdraw, rollback, tag, effective, jobs, status, alarms, changes, life, sync, adopt,
+    ingest, refit, promote, withdraw, rollback, tag, effective, jobs, status, alarms, life, sync, adopt,
     models, abandon, check_table, export,
 )  # fmt: skip
 for command in (*map(_needing_fit, _COMPUTING), import_, *_ASKING):
     app.command(_name(command))(command)
+app.add_typer(changes, name="changes")
 
 
 def _print_version(is_asked: bool) -> None:

@@ -1,16 +1,25 @@
 from __future__ import annotations
 
-from typing import Any
+import json
+from pathlib import Path
+from typing import Any, Self
 
 import pytest
 from fastapi.testclient import TestClient
+from typer.testing import CliRunner
 
+import lbacal
+from lbacal.analysis import life as analysis_life
+from lbacal.cli import life as cli_life
+from lbacal.cli.main import app
 from lbacal.instants import DAY_US, parse_instant
 from lbacal_core.curves.validity import Promotion, Scope
+from lbacal_core.errors import BadInputError
 from service.factory import Factory
 from service.storage.alarms import News
 from service.storage.changes import DRIFT, INVESTIGATION, Change, Evidence
 from service.storage.versions import Version
+from tests.service.conftest import promote
 
 
 def raise_alarm(factory: Factory, station: str, kind: str = "misfit") -> int:
@@ -162,6 +171,64 @@ def test_the_life_of_a_path_says_what_was_in_effect_when_and_what_happened(
     assert len(client.get("/v1/stations/CS001/life").json()["changes"]) == 2
     assert client.get("/v1/life").json()["epochs"] == [{"from": None, "to": None, "because": None}]
     assert client.get("/v1/paths/CS001/99/X/life").status_code == 422
+
+
+class _Asking:
+    """A client of a server in this process."""
+
+    def __init__(self, http: TestClient) -> None:
+        self._http = http
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None: ...
+
+    def get(self, path: str, **params: object) -> Any:
+        return self._http.get(path, params={name: one for name, one in params.items() if one is not None}).json()
+
+    def send(self, method: str, path: str, body: object, **params: object) -> Any:
+        answer = self._http.request(method, path, json=body, params={k: v for k, v in params.items() if v is not None})
+        assert answer.is_success, answer.text
+        return answer.json()
+
+
+def test_a_change_is_entered_decided_and_stands_in_the_life_of_its_path(
+    client: TestClient, stored: dict[str, Version], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    promote(client, stored["path"], "2014-01-01", "2015-01-01")
+    for module in (cli_life, analysis_life):
+        monkeypatch.setattr(module, "Client", lambda: _Asking(client))
+
+    def run(*arguments: str) -> str:
+        done = CliRunner().invoke(app, list(arguments))
+        assert done.exit_code == 0, done.output
+        return "".join(line for line in done.output.splitlines(keepends=True) if "[info " not in line)
+
+    assert run("changes") == "no changes\n"
+    where = ("--station", "CS001", "--antenna", "0")
+    run("changes", "enter", "2014-05-01", *where, "--sigma-days", "2", "--reason", "an amplifier")
+    assert run("changes", *where).startswith(
+        "1 CS001 antenna 0, step at 2014-05-01 ± 2.0 d (in force, not yet refitted"
+    )
+    tried = run("changes", "decide", "1", "--dismiss", "--reason", "it was none", "--dry-run")
+    assert "(dry run: nothing was written)" in tried
+    told = run("life", "CS001/0/X")
+    assert "2014-05-01 change 1, in force\n" in told
+    assert told.endswith("versions: 3, epochs: 2\n"), "of which one was promoted"
+    found = lbacal.life("CS001", antenna=0, dipole="X")
+    assert [row[1] for row in found.rows if row[0] == "2014-05-01"] == ["change 1, in force"]
+    found.save(tmp_path / "life.json")
+    found.save(tmp_path / "life.png")
+    assert json.loads((tmp_path / "life.json").read_text()) == found.content
+    run("changes", "decide", "1", "--dismiss", "--reason", "it was none")
+    assert "change 1, dismissed" in run("life", "CS001/0/X")
+    assert run("life").endswith("versions: 1, epochs: 1\n")
+    for wrong in ({"antenna": 0}, {"dipole": "X"}):
+        with pytest.raises(BadInputError, match="a part of a path"):
+            lbacal.life("CS001", **wrong)
+    for arguments in (["life", "CS001/0"], ["changes", "decide", "1", "--reason", "x"]):
+        assert isinstance(CliRunner().invoke(app, arguments).exception, BadInputError)
 
 
 STEP: dict[str, Any] = {

@@ -1,0 +1,109 @@
+"""`lbacal changes` and `lbacal life`: what changed and when, decisions about that, and all that happened to a path."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import typer
+
+from lbacal.cli.client import Antenna, Station
+from lbacal.cli.ledger import DryRun, Reason, print_act
+from lbacal.client import Client
+from lbacal.lives import ask_life, tell_life
+from lbacal_core.errors import BadInputError
+
+changes = typer.Typer(invoke_without_command=True)
+
+
+@changes.callback()
+def list_changes(context: typer.Context, station: Station = None, antenna: Antenna = None) -> None:
+    """List what changed and when, whoever found it; decide about a change, or enter one.
+
+    Example: lbacal changes --station CS002
+    """
+    if context.invoked_subcommand is None:
+        with Client() as client:
+            found = client.get("/v1/changes", station=station, antenna=antenna)["changes"]
+        for one in found:
+            print_change(one)
+        if not found:
+            print("no changes")
+
+
+@changes.command()
+def decide(
+    number: Annotated[int, typer.Argument(help="The change, as it is listed.")],
+    reason: Reason,
+    in_force: Annotated[bool, typer.Option("--in-force", help="Put it in force: windows are cut there.")] = False,
+    dismiss: Annotated[bool, typer.Option("--dismiss", help="Dismiss it: windows stay whole.")] = False,
+    dry_run: DryRun = False,
+) -> None:
+    """Put a change in force, or dismiss it, and show what that changes in C.
+
+    Example: lbacal changes decide 3 --dismiss --reason "snow lay on the antenna" --dry-run
+    """
+    if in_force == dismiss:
+        raise BadInputError("decide", "either --in-force or --dismiss", "both" if dismiss else "neither")
+    body = {"decision": "in_force" if in_force else "dismissed", "reason": reason}
+    with Client() as client:
+        done = client.send("POST", f"/v1/changes/{number}/decision", body, dry_run=dry_run or None)
+    print_change(done)
+    print_act(done, dry_run=dry_run)
+
+
+@changes.command()
+def enter(
+    at: Annotated[str, typer.Argument(help="When, ISO 8601, UTC.")],
+    station: Annotated[str, typer.Option(help="Station such as CS002.")],
+    reason: Reason,
+    antenna: Antenna = None,
+    sigma_days: Annotated[float, typer.Option(help="Standard deviation of that instant, days.", min=0.0)] = 0.0,
+) -> None:
+    """Enter what is known to have changed, of an antenna or of a whole station; it is in force at once.
+
+    Example: lbacal changes enter 2014-05-01T12:00 --station CS002 --antenna 17 --reason "another amplifier"
+    """
+    entry: dict[str, Any] = {"at": {"value": at, "sigma_days": sigma_days}, "reason": reason}
+    entry |= {"station": station} if antenna is None else {"paths": [{"station": station, "antenna": antenna}]}
+    with Client() as client:
+        print_change(client.send("POST", "/v1/changes", entry))
+
+
+def print_change(one: dict[str, Any]) -> None:
+    """Print a change in one line, and the decision about it in a second one."""
+    antennas = sorted({path["antenna"] for path in one["paths"] or ()})
+    named = ", ".join(map(str, antennas[:4])) + (f" and {len(antennas) - 4} more" if len(antennas) > 4 else "")
+    who = (one["station"] or "array") + (f" antenna {named}" if named else "")
+    value, sigma = (100 * (one["size"] or {}).get(name, 0.0) for name in ("value", "sigma"))
+    size = "" if one["size"] is None else f", C by {value:+.1f} ± {sigma:.1f} %"
+    state = "ended" if one["ended_at"] else one["decision"].replace("_", " ")
+    state += "" if one["refitted"] else ", not yet refitted"
+    by = ", ".join(dict.fromkeys(source["from"] for source in one["evidence"] if source["ended_at"] is None))
+    date = f"{one['at']['value'][:10]} ± {one['at']['sigma_days']:.1f} d"
+    print(f"{one['id']} {who}, {one['kind']} at {date}{size} ({state}{'; found by ' + by if by else ''})")
+    if one["reason"] != f"found by {one['by']}":
+        print(f"  {one['by']}: {one['reason']}")
+
+
+def life(
+    path: Annotated[str | None, typer.Argument(help="STATION or STATION/ANTENNA/DIPOLE; without it the array.")] = None,
+) -> None:
+    """Show the life of a path, a station or the array: what was in effect when, and all that happened to it.
+
+    Example: lbacal life CS002/17/X
+    """
+    station, antenna, dipole = _parse_path(path)
+    with Client() as client:
+        found = ask_life(client, station, antenna, dipole)
+    for at, words in tell_life(found):
+        print(f"{at} {words}")
+    print(f"versions: {len(found['versions'])}, epochs: {len(found['epochs'])}")
+
+
+def _parse_path(text: str | None) -> tuple[str | None, int | None, str | None]:
+    match (text or "").split("/"):
+        case [station]:
+            return station or None, None, None
+        case [station, antenna, dipole] if station and antenna.isdecimal() and dipole:
+            return station, int(antenna), dipole
+    raise BadInputError("life", "STATION or STATION/ANTENNA/DIPOLE such as CS002/17/X", str(text))

@@ -1,0 +1,36 @@
+"""The life of a path, a station or the array: what was in effect when, and what happened, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from lbacal.client import Client
+from lbacal_core.errors import BadInputError
+
+
+def ask_life(client: Client, station: str | None, antenna: int | None, dipole: str | None) -> dict[str, Any]:
+    """What the server knows of a path, of a station (without antenna and dipole) or of the array (without station)."""
+    if (antenna is None) != (dipole is None) or (station is None and antenna is not None):
+        raise BadInputError("life", "station, antenna and dipole, a station alone, or nothing", "a part of a path")
+    whose = (
+        "" if station is None else f"stations/{station}/" if dipole is None else f"paths/{station}/{antenna}/{dipole}/"
+    )
+    found: dict[str, Any] = client.get(f"/v1/{whose}life")
+    return found
+
+
+def tell_life(found: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """What happened, in order of time: the day, empty where it is open, and a sentence."""
+    told: dict[str, Callable[[Any], tuple[str | None, str]]] = {
+        "in_effect": lambda one: (
+            one["from"],
+            f"version {one['calibration'][:12]} answers until {one['to'] or 'open'}",
+        ),
+        "changes": lambda one: (one["at"]["value"], f"change {one['id']}, {one['decision'].replace('_', ' ')}"),
+        "causes": lambda one: (one["at"], f"{one['act']}: {one['changed']}"),
+        "alarms": lambda one: (one["raised_at"], f"alarm {one['alarm']} ({one['state']}): {one['sentence']}"),
+        "investigations": lambda one: (one["made_at"], f"investigation {one['id'][:12]}: {one['verdict']}"),
+    }
+    lines = [tell(one) for name, tell in told.items() for one in found[name]]
+    return sorted((at[:10] if at else "", words) for at, words in lines)
