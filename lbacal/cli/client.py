@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,6 +21,7 @@ from lbacal_core.errors import BadInputError, name_path
 Station = Annotated[str | None, typer.Option(help="Station such as CS002.")]
 Antenna = Annotated[int | None, typer.Option(help="Antenna number.", min=0)]
 Dipole = Annotated[str | None, typer.Option(help="Letter of the dipole, such as X.")]
+Json = Annotated[bool, typer.Option("--json", help="Print the answer of the server as JSON.")]
 SHOWN = 20
 """A list of versions, promotions or changes shows this many, and counts the others."""
 
@@ -99,6 +101,7 @@ def refit(
     promote: Annotated[bool, typer.Option("--promote", help="Put into effect what passes the gate.")] = False,
     wait: Annotated[bool, typer.Option(help="Wait until the fits have ended.")] = True,
     fit: Annotated[str, typer.Option(help="years: one chain through the years; year: the window by itself.")] = "years",
+    as_json: Json = False,
 ) -> None:
     """Ask for new fits over a window, one fit a version.
 
@@ -109,20 +112,41 @@ def refit(
             scope, since, until, reason=reason, station=station, antenna=antenna, dipole=dipole, promote=promote,
             wait=wait, fit=fit,
         )  # fmt: skip
-    print_job(job, most=SHOWN)
+    show(job, partial(print_job, most=SHOWN), as_json=as_json)
     if job["state"] == "failed":
         raise typer.Exit(1)
 
 
-def jobs(number: Annotated[int | None, typer.Argument(help="One job; without it the newest.")] = None) -> None:
+def jobs(
+    number: Annotated[int | None, typer.Argument(help="One job; without it the newest.")] = None, as_json: Json = False
+) -> None:
     """Show a requested job and its progress.
 
     Example: lbacal jobs 12
     """
     with Client() as client:
         found = [client.job(number)] if number is not None else client.get("/v1/jobs", limit=20)["jobs"]
-    for job in found:
-        print_job(job, most=0 if number is None else SHOWN)
+    show_each(found, partial(print_job, most=0 if number is None else SHOWN), "no jobs", as_json=as_json)
+
+
+def show(found: Any, tell: Callable[[Any], object], *, as_json: bool) -> None:
+    """Print an answer in words, or as it is."""
+    if as_json:
+        print(json.dumps(found, indent=1, ensure_ascii=False))
+    else:
+        tell(found)
+
+
+def show_each(found: list[Any], tell: Callable[[Any], object], nothing: str, *, as_json: bool) -> None:
+    """Print the parts of an answer in words, or all of it as it is."""
+
+    def tell_all(parts: list[Any]) -> None:
+        for one in parts:
+            tell(one)
+        if not parts:
+            print(nothing)
+
+    show(found, tell_all, as_json=as_json)
 
 
 def print_warnings(receipt: dict[str, Any]) -> None:

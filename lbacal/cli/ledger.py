@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Annotated, Any
 
 import typer
 
-from lbacal.cli.client import SHOWN, Antenna, Dipole, Station, print_job
+from lbacal.cli.client import SHOWN, Antenna, Dipole, Json, Station, print_job, show, show_each
 from lbacal.client import Client
 from lbacal_core.errors import BadInputError, name_path
 
@@ -27,6 +28,7 @@ def promote(
     start: From = None,
     end: To = None,
     dry_run: DryRun = False,
+    as_json: Json = False,
 ) -> None:
     """Put a version, or all versions of a job, into effect.
 
@@ -43,7 +45,7 @@ def promote(
             version, path = client.get(f"/v1/calibrations/{calibration}"), "/v1/promotions"
             interval = {"valid_from": start or version["since"], "valid_to": end or version["until"]}
             body = {"calibration": version["id"], "reason": reason, **_closed(interval)}
-        _act(client, path, body, dry_run=dry_run)
+        _act(client, path, body, dry_run=dry_run, as_json=as_json)
 
 
 def withdraw(
@@ -55,6 +57,7 @@ def withdraw(
     dipole: Dipole = None,
     scope: Annotated[str | None, typer.Option(help="array: what the array itself has.")] = None,
     dry_run: DryRun = False,
+    as_json: Json = False,
 ) -> None:
     """Withdraw what a path, a station or the array has in effect; a wider scope then answers, if it has something.
 
@@ -63,26 +66,28 @@ def withdraw(
     of = {"scope": scope, "station": station, "antenna": antenna, "dipole": dipole}
     body = {"calibration": None, "reason": reason, **of, **_closed({"valid_from": start, "valid_to": end})}
     with Client() as client:
-        _act(client, "/v1/promotions", body, dry_run=dry_run)
+        _act(client, "/v1/promotions", body, dry_run=dry_run, as_json=as_json)
 
 
 def rollback(
     promotion: Annotated[int, typer.Argument(help="Number of the promotion to undo, with those made with it.")],
     reason: Reason,
     dry_run: DryRun = False,
+    as_json: Json = False,
 ) -> None:
     """Put into effect again what a promotion replaced.
 
     Example: lbacal rollback 4711 --reason "the cable table was wrong" --dry-run
     """
     with Client() as client:
-        _act(client, f"/v1/promotions/{promotion}/rollback", {"reason": reason}, dry_run=dry_run)
+        _act(client, f"/v1/promotions/{promotion}/rollback", {"reason": reason}, dry_run=dry_run, as_json=as_json)
 
 
 def tag(
     name: Annotated[str | None, typer.Argument(help="Name to give; without it the tags are listed.")] = None,
     reason: Annotated[str | None, typer.Option(help="Why; it is kept.")] = None,
     as_of: Annotated[str | None, typer.Option(help="Freeze what was known at this instant; without it now.")] = None,
+    as_json: Json = False,
 ) -> None:
     """Freeze what is in effect under a name, for `--tag` and `lbacal sync`; or list the tags.
 
@@ -95,12 +100,17 @@ def tag(
             raise BadInputError("--reason", "why the tag is made", "nothing")
         else:
             tags = [client.send("PUT", f"/v1/tags/{name}", {"as_of": as_of, "reason": reason})]
-    for one in tags:
-        print(f"{one['name']}: as of {one['as_of']}, by {one['by']}: {one['reason']}")
+    show_each(tags, print_tag, "no tags", as_json=as_json)
 
 
-def _act(client: Client, path: str, body: dict[str, Any], *, dry_run: bool) -> None:
-    print_act(client.send("POST", path, body, dry_run=dry_run or None), dry_run=dry_run)
+def print_tag(one: dict[str, Any]) -> None:
+    """Print a tag in one line."""
+    print(f"{one['name']}: as of {one['as_of']}, by {one['by']}: {one['reason']}")
+
+
+def _act(client: Client, path: str, body: dict[str, Any], *, dry_run: bool, as_json: bool) -> None:
+    done = client.send("POST", path, body, dry_run=dry_run or None)
+    show(done, partial(print_act, dry_run=dry_run), as_json=as_json)
 
 
 def _closed(interval: dict[str, Any]) -> dict[str, Any]:
@@ -180,14 +190,13 @@ def abandon(
         follow(client, done["jobs"], wait=wait)
 
 
-def models() -> None:
+def models(as_json: Json = False) -> None:
     """List what was adopted and withdrawn, newest first, and what each adopted cause gained on later events.
 
     Example: lbacal models
     """
     with Client() as client:
-        for one in client.list("/v1/models", "models"):
-            print_model(one)
+        show_each(client.list("/v1/models", "models"), print_model, "no models", as_json=as_json)
 
 
 def follow(client: Client, jobs: list[int], *, wait: bool) -> None:
@@ -228,6 +237,7 @@ def alarms(
     until: Annotated[str | None, typer.Option(help="Known until then, ISO 8601, UTC; without it for good.")] = None,
     station: Station = None,
     state: Annotated[str, typer.Option(help="open, acknowledged, ended, lasting (not ended) or all.")] = "lasting",
+    as_json: Json = False,
 ) -> None:
     """List steps and slopes of C, lost paths, stale data, misfits, named causes, failed jobs; or acknowledge one.
 
@@ -241,10 +251,7 @@ def alarms(
             found = [client.send("POST", f"/v1/alarms/{acknowledge}/acknowledgement", body)]
         else:
             found = client.list("/v1/alarms", "alarms", state=state, station=station)
-    for one in found:
-        print_alarm(one)
-    if not found:
-        print(f"no alarms ({state})")
+    show_each(found, print_alarm, f"no alarms ({state})", as_json=as_json)
 
 
 def print_alarm(one: dict[str, Any]) -> None:
@@ -259,7 +266,7 @@ def print_alarm(one: dict[str, Any]) -> None:
 # `lbacal status`: whether the service can serve, who lives, what waits and what failed.
 
 
-def status() -> None:
+def status(as_json: Json = False) -> None:
     """Show whether the service is ready, which processes live, what waits, and what failed and when it is tried again.
 
     Example: lbacal status
@@ -268,7 +275,7 @@ def status() -> None:
     """
     with Client(tries=1) as client:
         state = client.get("/v1/status")
-    print_state(state)
+    show(state, print_state, as_json=as_json)
     if not state["ready"]:
         raise typer.Exit(1)
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Annotated, Any
 
 import typer
 
-from lbacal.cli.client import Antenna, Station
+from lbacal.cli.client import Antenna, Json, Station, show, show_each
 from lbacal.cli.ledger import DryRun, Reason, print_act
 from lbacal.client import Client
 from lbacal.lives import ask_life, tell_life
@@ -16,7 +17,9 @@ changes = typer.Typer(invoke_without_command=True)
 
 
 @changes.callback()
-def list_changes(context: typer.Context, station: Station = None, antenna: Antenna = None) -> None:
+def list_changes(
+    context: typer.Context, station: Station = None, antenna: Antenna = None, as_json: Json = False
+) -> None:
     """List what changed and when, whoever found it; decide about a change, or enter one.
 
     Example: lbacal changes --station CS002
@@ -24,10 +27,7 @@ def list_changes(context: typer.Context, station: Station = None, antenna: Anten
     if context.invoked_subcommand is None:
         with Client() as client:
             found = client.get("/v1/changes", station=station, antenna=antenna)["changes"]
-        for one in found:
-            print_change(one)
-        if not found:
-            print("no changes")
+        show_each(found, print_change, "no changes", as_json=as_json)
 
 
 @changes.command()
@@ -37,6 +37,7 @@ def decide(
     in_force: Annotated[bool, typer.Option("--in-force", help="Put it in force: windows are cut there.")] = False,
     dismiss: Annotated[bool, typer.Option("--dismiss", help="Dismiss it: windows stay whole.")] = False,
     dry_run: DryRun = False,
+    as_json: Json = False,
 ) -> None:
     """Put a change in force, or dismiss it, and show what that changes in C.
 
@@ -47,6 +48,11 @@ def decide(
     body = {"decision": "in_force" if in_force else "dismissed", "reason": reason}
     with Client() as client:
         done = client.send("POST", f"/v1/changes/{number}/decision", body, dry_run=dry_run or None)
+    show(done, partial(print_decided, dry_run=dry_run), as_json=as_json)
+
+
+def print_decided(done: dict[str, Any], *, dry_run: bool) -> None:
+    """Print a change and what a decision about it changes in C."""
     print_change(done)
     print_act(done, dry_run=dry_run)
 
@@ -58,6 +64,7 @@ def enter(
     reason: Reason,
     antenna: Antenna = None,
     sigma_days: Annotated[float, typer.Option(help="Standard deviation of that instant, days.", min=0.0)] = 0.0,
+    as_json: Json = False,
 ) -> None:
     """Enter what is known to have changed, of an antenna or of a whole station; it is in force at once.
 
@@ -66,7 +73,7 @@ def enter(
     entry: dict[str, Any] = {"at": {"value": at, "sigma_days": sigma_days}, "reason": reason}
     entry |= {"station": station} if antenna is None else {"paths": [{"station": station, "antenna": antenna}]}
     with Client() as client:
-        print_change(client.send("POST", "/v1/changes", entry))
+        show(client.send("POST", "/v1/changes", entry), print_change, as_json=as_json)
 
 
 def print_change(one: dict[str, Any]) -> None:
@@ -87,6 +94,7 @@ def print_change(one: dict[str, Any]) -> None:
 
 def life(
     path: Annotated[str | None, typer.Argument(help="STATION or STATION/ANTENNA/DIPOLE; without it the array.")] = None,
+    as_json: Json = False,
 ) -> None:
     """Show the life of a path, a station or the array: what was in effect when, and all that happened to it.
 
@@ -95,6 +103,11 @@ def life(
     station, antenna, dipole = _parse_path(path)
     with Client() as client:
         found = ask_life(client, station, antenna, dipole)
+    show(found, print_life, as_json=as_json)
+
+
+def print_life(found: dict[str, Any]) -> None:
+    """Print a line for each thing that happened, and how much there is."""
     for at, words in tell_life(found):
         print(f"{at} {words}")
     print(f"versions: {len(found['versions'])}, epochs: {len(found['epochs'])}")

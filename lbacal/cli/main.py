@@ -14,6 +14,7 @@ from importlib.util import find_spec
 from typing import Annotated, Any
 
 import typer
+import typer.core
 
 from lbacal.cli.audit import audit
 from lbacal.cli.budget import budget
@@ -38,11 +39,33 @@ ADDED = {"server": ("serve", "scheduler", "worker", "db", "keys"), "paper": ("pa
 ENTRY_POINTS = "lbacal.commands"
 """The group under which a wheel names, by its extra, the module that adds its commands to `app` when it is imported."""
 
+GROUPS = {
+    "C from files": ("fit", "budget", "audit", "investigate", "predict", "lst-curve", "paper"),
+    "Data and models": ("spectra", "import", "sky-power", "antenna-gain", "check-table", "export"),
+    "Ask a server": ("effective", "life", "status", "alarms", "jobs", "models", "ingest", "sync"),
+    "Decide what is in effect": (
+        "changes", "refit", "promote", "withdraw", "rollback", "tag", "adopt", "abandon",
+    ),
+    "Run a server": ADDED["server"],
+}  # fmt: skip
+"""The commands as `lbacal --help` lists them."""
+
+
+class _Grouped(typer.core.TyperGroup):
+    """Commands by what they are for, each with its whole first sentence."""
+
+    def format_commands(self, _ctx: Any, formatter: Any) -> None:
+        """Write a list a group."""
+        for title, names in GROUPS.items():
+            with formatter.section(title):
+                formatter.write_dl([(name, self.commands[name].get_short_help_str(limit=300)) for name in names])
+
+
 app = typer.Typer(
     name="lbacal",
+    cls=_Grouped,
     help="Absolute calibration of radio antennas with the Galaxy.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any, Self
 
 import pytest
@@ -37,4 +38,5 @@ def test_a_dry_run_is_asked_for_and_nothing_else_is_one(
     monkeypatch.setattr(ledger, "Client", Server)
     assert "(dry run: nothing was written)" in lbacal(*command, "--reason", "x", "--dry-run")[1]
     assert "dry run" not in lbacal(*command, "--reason", "x")[1]
-    assert sent == [("POST", path, True), ("POST", path, None)]
+    assert json.loads(lbacal(*command, "--reason", "x", "--json")[1]) == {"changes": []}
+    assert sent == [("POST", path, True), ("POST", path, None), ("POST", path, None)]

@@ -211,6 +211,8 @@ def test_a_change_is_entered_decided_and_stands_in_the_life_of_its_path(
     assert run("changes", *where).startswith(
         "1 CS001 antenna 0, step at 2014-05-01 ± 2.0 d (in force, not yet refitted"
     )
+    assert json.loads(run("changes", "--json")) == client.get("/v1/changes").json()["changes"]
+    assert json.loads(run("life", "CS001/0/X", "--json")) == client.get("/v1/paths/CS001/0/X/life").json()
     tried = run("changes", "decide", "1", "--dismiss", "--reason", "it was none", "--dry-run")
     assert "(dry run: nothing was written)" in tried
     told = run("life", "CS001/0/X")
