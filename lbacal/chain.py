@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,8 +11,16 @@ import numpy as np
 from astropy import units as u
 
 from lbacal_core.errors import BadInputError
-from lbacal_core.grids import Floats
-from lbacal_core.instrument.stages import FREE, gain_behind, interpolate, read_touchstone_gain, require_chain
+from lbacal_core.grids import Floats, interpolate
+from lbacal_core.instrument.matching import (
+    Impedance,
+    interpolate_impedance,
+    match_noise,
+    match_power,
+    read_impedance,
+    require_passive,
+)
+from lbacal_core.instrument.stages import FREE, gain_behind, read_touchstone_gain, require_chain
 from lbacal_core.instrument.stages import Stage as CoreStage
 
 
@@ -35,11 +43,11 @@ class Stage:
     kind
         antenna, ground, ice, load, lna, cable, filter, amplifier or adc.
     gain
-        Power gain: a factor, a Quantity in dB, a table (frequency, gain), a function of the frequency in MHz, or the
-        name of a Touchstone file; None for what has none, and for the cable of `Chain`.
+        Power gain: a factor, a Quantity in dB, a table (frequency, gain), a function of the frequency in MHz such as
+        `mismatch`, or the name of a Touchstone file; None for what has none, and for the cable of `Chain`.
     noise
-        Noise temperature at the input, K: a number, or a table (frequency, temperature); ``"free"`` where the data
-        determine it; None for no noise.
+        Noise temperature at the input, K: a number, a table (frequency, temperature), or a function of the frequency in
+        MHz such as `lna_noise`; ``"free"`` where the data determine it; None for no noise.
     error
         Standard deviation of a known noise temperature, K.
     solid_angle
@@ -139,7 +147,58 @@ def _convert_gain(gain: Any, frequency_mhz: Floats) -> Floats:
     return np.broadcast_to(_linear(gain), frequency_mhz.shape)
 
 
+def mismatch(antenna: Any, load: Any = 50.0) -> Callable[[Floats], Floats]:
+    """What of an antenna's available power the receiver takes: the gain of a stage of the kind ``load``.
+
+    Parameters
+    ----------
+    antenna, load
+        Impedances: ohm, complex or a Quantity; a table (frequency, impedance); a function of the frequency in MHz; or
+        the name of a Touchstone file, of which S11 counts (.s1p, or .s2p of an amplifier).
+
+    Examples
+    --------
+    >>> import lbacal
+    >>> float(lbacal.mismatch(antenna=73 + 42.5j)(np.array([55.0]))[0].round(4))
+    0.8591
+    """
+    return lambda nu: match_power(_impedance(antenna, nu, "antenna"), _impedance(load, nu, "load"))
+
+
+def lna_noise(antenna: Any, minimum: Any, resistance: Any, optimum: Any) -> Callable[[Floats], Floats]:
+    """The noise of an amplifier at an antenna, from its noise parameters: that of the stage of the kind ``load``.
+
+    Parameters
+    ----------
+    antenna, optimum
+        Impedance of the antenna, and the one at which the amplifier is least noisy, as in `mismatch`.
+    minimum
+        Noise temperature at the optimum, K.
+    resistance
+        R_n, ohm.
+    """
+
+    def temperature(nu: Floats) -> Floats:
+        seen, best = _impedance(antenna, nu, "antenna"), _impedance(optimum, nu, "optimum")
+        return match_noise(seen, convert_number(minimum, u.K), convert_number(resistance, u.ohm), best)
+
+    return temperature
+
+
+def _impedance(given: Any, frequency_mhz: Floats, name: str) -> Impedance:
+    place = f"chain: impedance of {name}"
+    if isinstance(given, str | Path):
+        return read_impedance(Path(given), frequency_mhz)
+    if isinstance(given, tuple):
+        nu, values = convert_numbers(given[0], u.MHz), np.asarray(u.Quantity(given[1], u.ohm).value, dtype=complex)
+        return interpolate_impedance(nu, values, frequency_mhz, place)
+    found = given(frequency_mhz) if callable(given) else u.Quantity(given, u.ohm).value
+    return require_passive(np.broadcast_to(np.asarray(found, dtype=complex), frequency_mhz.shape), place)
+
+
 def _temperature(noise: Any, frequency_mhz: Floats) -> Floats:
+    if callable(noise):
+        return np.broadcast_to(np.asarray(noise(frequency_mhz), dtype=float), frequency_mhz.shape).copy()
     if isinstance(noise, tuple):
         return interpolate(
             convert_numbers(noise[0], u.MHz), convert_numbers(noise[1], u.K), frequency_mhz, "chain: noise"

@@ -72,3 +72,14 @@ def guess_widths(frequency_mhz: Floats) -> Floats:
         return np.ones(1)
     spacing = np.diff(frequency_mhz)
     return np.asarray(np.minimum(np.append(spacing, np.inf), np.insert(spacing, 0, np.inf)))
+
+
+def interpolate(nu: Floats, values: Floats, frequency_mhz: Floats, place: str) -> Floats:
+    """Values of a table on the channels, which it must cover, linear between its rows."""
+    require_channels(place, nu)
+    if nu.shape != values.shape:
+        raise BadInputError(place, f"a value for each of {nu.size} frequencies", f"{values.size}")
+    if nu[0] > frequency_mhz[0] or nu[-1] < frequency_mhz[-1]:
+        expected = f"a table from {frequency_mhz[0]:g} to {frequency_mhz[-1]:g} MHz"
+        raise BadInputError(place, expected, f"{nu[0]:g} to {nu[-1]:g} MHz")
+    return np.interp(frequency_mhz, nu, values)

@@ -13,7 +13,6 @@ Noise of a stage is free (the data determine it), known, with an error or withou
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,9 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from lbacal_core.errors import BadInputError, MissingExtraError, UnreadableFileError
+from lbacal_core.errors import BadInputError
 from lbacal_core.foreign import parse_name, parse_number, parse_numbers
-from lbacal_core.grids import Floats, require_channels
+from lbacal_core.grids import Floats, interpolate
+from lbacal_core.instrument.matching import Impedance, match_power, read_impedance, read_touchstone, require_passive
 
 SEEN = ("antenna", "ground", "ice")
 """Kinds that the antenna sees or is: `antenna` adds the same to P_sky at each frequency, the others are warm bodies."""
@@ -166,7 +166,7 @@ def fill_fields(content: Mapping[str, Any], stages: Sequence[Stage], channels: i
 FIELDS = (
     "name", "kind", "gain", "gain_db", "noise_temperature_k", "noise_temperature_error_k", "solid_angle_sr",
 )  # fmt: skip
-TWO_PORTS = (2, 2)
+ONE_PORT, TWO_PORTS = (1, 1), (2, 2)
 
 
 def parse_stages(content: Any, frequency_mhz: Floats, place: str, folder: Path | None) -> tuple[Stage, ...]:
@@ -222,15 +222,20 @@ def _gain(content: Mapping[str, Any], frequency_mhz: Floats, place: str, folder:
         if folder is None:
             raise BadInputError(f"{place}: gain", "a number or a table (no folder to look for files in)", given)
         return read_touchstone_gain(folder / given, frequency_mhz)
-    if isinstance(given, dict) and "gain_db" in given:
-        table = {"frequency_mhz": given.get("frequency_mhz"), "value": given["gain_db"]}
-        return np.asarray(10.0 ** (_on_channels(table, frequency_mhz, f"{place}: gain") / 10.0))
     if isinstance(given, dict):
-        table = {"frequency_mhz": given.get("frequency_mhz"), "value": given.get("gain")}
-        gains = _require_positive(parse_numbers(table["value"], f"{place}: gain.gain"), f"{place}: gain")
-        table["value"] = np.log(gains).tolist()
-        return np.exp(_on_channels(table, frequency_mhz, f"{place}: gain"))
+        return _gain_of_table(given, frequency_mhz, f"{place}: gain", folder)
     return _require_positive(_on_channels(given, frequency_mhz, f"{place}: gain"), f"{place}: gain")
+
+
+def _gain_of_table(given: Mapping[str, Any], frequency_mhz: Floats, place: str, folder: Path | None) -> Floats:
+    """What a load takes of an antenna's power, or a table of gains or decibels."""
+    if set(given) == {"antenna", "load"}:
+        return _match(given, frequency_mhz, place, folder)
+    table = {"frequency_mhz": given.get("frequency_mhz"), "value": given.get("gain_db", given.get("gain"))}
+    if "gain_db" in given:
+        return np.asarray(10.0 ** (_on_channels(table, frequency_mhz, place) / 10.0))
+    table["value"] = np.log(_require_positive(parse_numbers(table["value"], f"{place}.gain"), place)).tolist()
+    return np.exp(_on_channels(table, frequency_mhz, place))
 
 
 def _noise(given: Any, frequency_mhz: Floats, place: str) -> Floats:
@@ -254,17 +259,6 @@ def _on_channels(given: Any, frequency_mhz: Floats, place: str) -> Floats:
     return np.full(frequency_mhz.size, parse_number(given, place))
 
 
-def interpolate(nu: Floats, values: Floats, frequency_mhz: Floats, place: str) -> Floats:
-    """Values of a table on the channels, which it must cover, linear between its rows."""
-    require_channels(place, nu)
-    if nu.shape != values.shape:
-        raise BadInputError(place, f"a value for each of {nu.size} frequencies", f"{values.size}")
-    if nu[0] > frequency_mhz[0] or nu[-1] < frequency_mhz[-1]:
-        expected = f"a table from {frequency_mhz[0]:g} to {frequency_mhz[-1]:g} MHz"
-        raise BadInputError(place, expected, f"{nu[0]:g} to {nu[-1]:g} MHz")
-    return np.interp(frequency_mhz, nu, values)
-
-
 def _require_positive(values: Floats, place: str) -> Floats:
     if not np.all(values > 0):
         raise BadInputError(place, "numbers > 0", f"{values[~(values > 0)][0]}")
@@ -272,22 +266,27 @@ def _require_positive(values: Floats, place: str) -> Floats:
 
 
 def read_touchstone_gain(path: Path, frequency_mhz: Floats) -> Floats:
-    """|S21|^2 of a two-port Touchstone file on the channels, between its rows linear in dB; shape (freq,).
+    """The gain of a Touchstone file on the channels, between its rows linear in dB; shape (freq,).
 
-    The gain between the reference impedances of the file: mismatches between stages are not in it.
+    That is |S21|^2 where it has two ports, between their reference impedances: mismatches between stages are not in it.
+    A file of one port is an antenna, and 1 - |S11|^2 the share of its power that the reference impedance takes.
     """
-    try:
-        import skrf
-    except ImportError as error:
-        raise MissingExtraError(f"{path}, a Touchstone file,", "touchstone") from error
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            network = skrf.Network(str(path))
-            nu, s = np.asarray(network.f, dtype=float) / 1e6, np.asarray(network.s)
-    except (OSError, ValueError, IndexError, KeyError, TypeError, NotImplementedError) as error:
-        raise UnreadableFileError(f"{path}: expected a Touchstone file ({error})") from error
-    if s.shape[1:] != TWO_PORTS:
-        raise BadInputError(str(path), "a Touchstone file of two ports (.s2p)", f"{s.shape[-1]}")
-    gain = _require_positive(np.abs(s[:, 1, 0]) ** 2, f"{path}: S21")
+    nu, s, _ = read_touchstone(path)
+    if s.shape[1:] not in (ONE_PORT, TWO_PORTS):
+        raise BadInputError(str(path), "a Touchstone file of one port (.s1p) or two (.s2p)", f"{s.shape[-1]}")
+    is_antenna = s.shape[1:] == ONE_PORT
+    share = 1.0 - np.abs(s[:, 0, 0]) ** 2 if is_antenna else np.abs(s[:, 1, 0]) ** 2
+    gain = _require_positive(share, f"{path}: {'1 - |S11|^2' if is_antenna else 'S21'}")
     return np.exp(interpolate(nu, np.log(gain), frequency_mhz, str(path)))
+
+
+def _match(given: Mapping[str, Any], frequency_mhz: Floats, place: str, folder: Path | None) -> Floats:
+    """What a load takes of the power of an antenna, both Touchstone files or ohm."""
+
+    def impedance(name: str) -> Impedance:
+        one, where = given[name], f"{place}.{name}"
+        if isinstance(one, str) and folder is not None:
+            return read_impedance(folder / one, frequency_mhz)
+        return require_passive(np.full(frequency_mhz.size, parse_number(one, where), dtype=complex), where)
+
+    return match_power(impedance("antenna"), impedance("load"))

@@ -111,11 +111,17 @@ def test_a_touchstone_file_beside_the_instrument_gives_the_gain_from_port_1_to_p
     assert again.digest() == instrument.digest()
 
 
-def test_a_touchstone_file_of_one_port_or_none_at_all_is_refused(tmp_path):
+def test_a_touchstone_file_of_one_port_is_an_antenna_and_one_of_none_or_three_is_refused(tmp_path):
     pytest.importorskip("skrf")
-    (tmp_path / "one.s1p").write_text("# MHz S DB R 50\n40 -20 0\n90 -20 0\n")
-    with pytest.raises(BadInputError, match=r"two ports \(\.s2p\), found 1"):
-        gain_of({"gain": "one.s1p"}, tmp_path)
+    (tmp_path / "one.s1p").write_text("# MHz S DB R 75\n40 -20 0\n90 -20 0\n")
+    np.testing.assert_allclose(gain_of({"gain": "one.s1p"}, tmp_path), 0.99)
+    for antenna in ("one.s1p", 75 * 1.1 / 0.9):
+        np.testing.assert_allclose(gain_of({"gain": {"antenna": antenna, "load": 75}}, tmp_path), 0.99)
+    with pytest.raises(BadInputError, match=r"gain\.load: expected an impedance in ohm whose real part is above 0"):
+        gain_of({"gain": {"antenna": "one.s1p", "load": -50}}, tmp_path)
+    (tmp_path / "three.s3p").write_text("# MHz S DB R 50\n" + "".join(f"{nu} {'-20 0 ' * 9}\n" for nu in (40, 90)))
+    with pytest.raises(BadInputError, match=r"one port \(\.s1p\) or two \(\.s2p\), found 3"):
+        gain_of({"gain": "three.s3p"}, tmp_path)
     (tmp_path / "no.s2p").write_text("nothing of the kind\n")
     with pytest.raises(UnreadableFileError, match="expected a Touchstone file"):
         gain_of({"gain": "no.s2p"}, tmp_path)

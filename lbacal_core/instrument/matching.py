@@ -1,0 +1,75 @@
+"""What an antenna hands to the amplifier behind it, from impedances or S11, and the amplifier's noise at that antenna.
+
+From an antenna of impedance Z_A = R_A + i X_A a load Z_L takes the share 4 R_A R_L / |Z_A + Z_L|^2 of the available
+power, which is 1 - |S11|^2 where Z_L is the reference impedance of S11. An amplifier with the noise parameters T_min,
+R_n and Z_opt adds T_min + T_0 R_n / G_A |1/Z_A - 1/Z_opt|^2 to the temperature of the antenna, G_A = Re(1/Z_A) and
+T_0 = 290 K (Haus et al. 1960, Proc. IRE 48, 69, with T = T_0 (F - 1)).
+"""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lbacal_core.errors import BadInputError, MissingExtraError, UnreadableFileError
+from lbacal_core.grids import Floats, interpolate
+
+Impedance = NDArray[np.complex128]
+"""Ohm, shape (freq,)."""
+T_0 = 290.0
+"""Temperature at which noise figures are defined, K."""
+
+
+def match_power(antenna: Impedance, load: Impedance) -> Floats:
+    """The share of the antenna's available power that the load takes, shape (freq,)."""
+    return np.asarray(4.0 * antenna.real * load.real / np.abs(antenna + load) ** 2)
+
+
+def match_noise(antenna: Impedance, t_min_k: float, r_n_ohm: float, optimum: Impedance) -> Floats:
+    """Noise temperature of an amplifier beside the antenna's own, in front of the mismatch, K, shape (freq,)."""
+    distance = np.abs(1.0 / antenna - 1.0 / optimum) ** 2
+    return np.asarray(t_min_k + T_0 * r_n_ohm * distance / (1.0 / antenna).real)
+
+
+def require_passive(impedance: Impedance, place: str) -> Impedance:
+    """Refuse a resistance that is not above 0."""
+    wrong = impedance.real[~(impedance.real > 0)]
+    if wrong.size:
+        raise BadInputError(place, "an impedance in ohm whose real part is above 0", f"{wrong[0]:g}")
+    return impedance
+
+
+def interpolate_impedance(nu: Floats, impedance: Impedance, frequency_mhz: Floats, place: str) -> Impedance:
+    """Impedances of a table on the channels, which it must cover: S11 to 50 ohm is linear between its rows."""
+    s11 = (impedance - 50.0) / (impedance + 50.0)
+    found = 1j * interpolate(nu, s11.imag, frequency_mhz, place)
+    found += interpolate(nu, s11.real, frequency_mhz, place)
+    return require_passive(50.0 * (1.0 + found) / (1.0 - found), place)
+
+
+def read_impedance(path: Path, frequency_mhz: Floats) -> Impedance:
+    """What S11 of a Touchstone file of one port or two is the reflection of, on the channels."""
+    nu, s, reference = read_touchstone(path)
+    s11 = s[:, 0, 0]
+    if np.any(np.abs(s11) >= 1.0):
+        raise BadInputError(f"{path}: S11", "a reflection below 1", f"{np.abs(s11).max():g}")
+    return interpolate_impedance(nu, reference * (1.0 + s11) / (1.0 - s11), frequency_mhz, str(path))
+
+
+def read_touchstone(path: Path) -> tuple[Floats, Any, Any]:
+    """Frequencies, MHz, S parameters, shape (row, port, port), and the reference impedance of port 1, shape (row,)."""
+    try:
+        import skrf
+    except ImportError as error:
+        raise MissingExtraError(f"{path}, a Touchstone file,", "touchstone") from error
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            network = skrf.Network(str(path))
+            return np.asarray(network.f, dtype=float) / 1e6, np.asarray(network.s), np.asarray(network.z0)[:, 0]
+    except (OSError, ValueError, IndexError, KeyError, TypeError, NotImplementedError) as error:
+        raise UnreadableFileError(f"{path}: expected a Touchstone file ({error})") from error

@@ -1,0 +1,85 @@
+"""Impedances against reflections: the same physics in another form, measured antennas, and a fit of both."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from astropy import units as u
+
+import lbacal
+from lbacal_core.errors import BadInputError
+from lbacal_core.instrument.matching import T_0, match_noise, match_power
+
+NU = np.arange(30.0, 81.0)
+ANTENNA = 20.0 + 0.8 * NU + 1j * (4.0 * NU - 220.0)
+"""A short dipole that is resonant at 55 MHz, ohm."""
+LNA = 100.0 - 30.0j
+
+
+def reflect(impedance: np.ndarray | complex) -> np.ndarray:
+    """The reflection to 50 ohm."""
+    return (np.asarray(impedance) - 50.0) / (np.asarray(impedance) + 50.0)
+
+
+def test_the_share_of_the_power_is_that_of_the_reflections_of_both_sides() -> None:
+    """(1 - |a|^2)(1 - |b|^2) / |1 - ab|^2 of the textbooks of microwaves."""
+    a, b = reflect(ANTENNA), reflect(LNA)
+    expected = (1 - np.abs(a) ** 2) * (1 - np.abs(b) ** 2) / np.abs(1 - a * b) ** 2
+    np.testing.assert_allclose(match_power(ANTENNA, np.full(NU.size, LNA)), expected, rtol=1e-12)
+    np.testing.assert_allclose(match_power(ANTENNA, ANTENNA.conj()), 1.0)
+
+
+def test_the_noise_of_an_amplifier_is_that_of_its_parameters_as_reflections() -> None:
+    """T_min + 4 T_0 r_n |s - o|^2 / ((1 - |s|^2) |1 + o|^2), r_n over 50 ohm."""
+    s, o = reflect(ANTENNA), reflect(LNA)
+    expected = 60.0 + 4 * T_0 * (8.0 / 50.0) * np.abs(s - o) ** 2 / ((1 - np.abs(s) ** 2) * np.abs(1 + o) ** 2)
+    best = np.full(NU.size, LNA)
+    np.testing.assert_allclose(match_noise(ANTENNA, 60.0, 8.0, best), expected, rtol=1e-12)
+    np.testing.assert_allclose(match_noise(best, 60.0, 8.0, best), 60.0)
+
+
+@pytest.mark.shared
+def test_two_measured_antennas_of_a_station_take_shares_that_differ_by_percents(shared: Path) -> None:
+    """2-5 % at one station of the LWA, 10-17 % and more at another (DiLullo et al. 2023, arXiv 2303.14904)."""
+    rows = (shared / "data/other/lwa_antennas.csv").read_text().splitlines()
+    names = rows[1].split(",")
+    values = np.array([row.split(",") for row in rows[2:]], dtype=float)
+    s11 = {name[:-3]: values[:, k] + 1j * values[:, k + 1] for k, name in enumerate(names) if name.endswith(" re")}
+    inside = (values[:, 0] >= 30) & (values[:, 0] <= 80)
+
+    def differ(station: str, dipole: str) -> float:
+        one, other = (
+            match_power(50 * (1 + s) / (1 - s), np.full(s.size, 100.0 + 0j))[inside]
+            for name, s in s11.items()
+            if name.startswith(station) and f" {dipole} " in name
+        )
+        return float(np.mean(np.abs(one / other - 1.0)))
+
+    assert all(0.02 < differ("LWA1_", dipole) < 0.05 for dipole in "AB")
+    assert all(differ("LWASV_", dipole) > 0.10 for dipole in "AB")
+
+
+@pytest.mark.long
+def test_an_antenna_with_its_impedance_and_the_noise_parameters_of_its_amplifier_is_fitted(tmp_path: Path) -> None:
+    table = (NU * u.MHz, ANTENNA * u.ohm)
+    match, noise = lbacal.mismatch(table, LNA), lbacal.lna_noise(table, 60 * u.K, 8.0, LNA)
+    np.testing.assert_allclose(match(NU), match_power(ANTENNA, np.full(NU.size, LNA)), rtol=1e-9)
+    front = [lbacal.Stage("load", match, noise=noise, error=10.0, name="match"), lbacal.Stage("lna", 20 * u.dB)]
+    chain = lbacal.Chain([*front, lbacal.Stage("cable"), lbacal.Stage("adc", noise="free")])
+    antenna = lbacal.Antenna("short-dipole", {"X": 45.0}, gain=2.0, gain_source="a table")
+    instrument = lbacal.Instrument("mine", lbacal.Site(52.9, 6.9), antenna, chain, NU * u.MHz)
+    spectra = lbacal.simulate(instrument, events=200)
+    found = lbacal.fit(spectra, instrument)
+    assert {curve.status for curve in found.report.curves} == {"converged"}
+    pull = (found.table["c"] - spectra.truth["c"]) / np.hypot(found.table["c_sigma_stat"], found.table["c_sigma_sys"])
+    assert np.max(np.abs(pull)) < 3.0, "the spectra hide this C"
+    instrument.save(tmp_path / "mine.json")
+    again = lbacal.fit(spectra, tmp_path / "mine.json")
+    np.testing.assert_allclose(again.table["c"].value, found.table["c"].value)
+
+
+def test_an_active_antenna_is_refused() -> None:
+    with pytest.raises(BadInputError, match="impedance of antenna: expected an impedance in ohm"):
+        lbacal.mismatch(-10.0)(NU)
