@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 import weakref
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -80,7 +81,7 @@ class FileReader:
             self._parent = subprocess.Popen(  # noqa: S603 - our own module
                 command, pass_fds=[theirs.fileno()], env=environment, stdin=subprocess.DEVNULL
             )
-        weakref.finalize(self, _stop, self._control, self._parent)
+        weakref.finalize(self, _stop, self._control, self._parent, os.getpid())
 
     def _has_ended(self) -> bool:
         try:
@@ -89,9 +90,13 @@ class FileReader:
             return False
 
 
-def _stop(control: socket.socket, process: subprocess.Popen[bytes]) -> None:
-    control.close()
-    process.wait()
+def _stop(control: socket.socket, process: subprocess.Popen[bytes], owner: int) -> None:
+    """End the processes; a fork of their owner does not, and they end though it holds the connection, too."""
+    if os.getpid() == owner:
+        with suppress(OSError):
+            control.shutdown(socket.SHUT_RDWR)
+        control.close()
+        process.wait()
 
 
 def _exchange(connection: socket.socket, content: bytes) -> bytes:

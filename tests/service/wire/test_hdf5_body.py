@@ -6,6 +6,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -237,3 +238,23 @@ def test_a_process_that_has_its_file_opens_nothing(what: str) -> None:
     done = confined("import socket, resource; " + limit + what)
     assert done.returncode == 1
     assert "Too many open files" in done.stderr
+
+
+def test_the_processes_did_not_end_while_a_fork_of_the_server_held_their_connection(file: Path) -> None:
+    """A pool that was forked while a reader lived kept its processes waiting, and whoever let go of the reader too."""
+    readers = [FileReader()]
+    readers[0].read(file.read_bytes())
+    held, release = os.pipe()
+    fork = os.fork()
+    if fork == 0:
+        os.close(release)
+        os.read(held, 1)
+        os._exit(0)
+    ending = threading.Thread(target=readers.clear, daemon=True)
+    ending.start()
+    ending.join(20.0)
+    is_over = not ending.is_alive()
+    os.close(held)
+    os.close(release)
+    os.waitpid(fork, 0)
+    assert is_over
