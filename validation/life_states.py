@@ -127,8 +127,14 @@ def sqlite_service() -> Iterator[Factory]:
 
 
 @cache
+def _folder() -> tempfile.TemporaryDirectory[str]:
+    """What lasts as long as the process."""
+    return tempfile.TemporaryDirectory(prefix="lbacal-states-")
+
+
+@cache
 def _template() -> Path:
-    path = Path(tempfile.mkdtemp(prefix="lbacal-states-")) / "template.sqlite"
+    path = Path(_folder().name) / "template.sqlite"
     with closing(str(path)) as factory:
         upgrade(factory.database)
     return path
