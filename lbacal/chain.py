@@ -159,8 +159,9 @@ def mismatch(antenna: Any, load: Any = 50.0) -> Callable[[Floats], Floats]:
     Examples
     --------
     >>> import lbacal
+    >>> import numpy as np
     >>> float(lbacal.mismatch(antenna=73 + 42.5j)(np.array([55.0]))[0].round(4))
-    0.8591
+    0.8621
     """
     return lambda nu: match_power(_impedance(antenna, nu, "antenna"), _impedance(load, nu, "load"))
 
@@ -176,6 +177,14 @@ def lna_noise(antenna: Any, minimum: Any, resistance: Any, optimum: Any) -> Call
         Noise temperature at the optimum, K.
     resistance
         R_n, ohm.
+
+    Examples
+    --------
+    >>> import lbacal
+    >>> import numpy as np
+    >>> best = lbacal.lna_noise(antenna=100.0, minimum=60.0, resistance=8.0, optimum=100.0)
+    >>> float(best(np.array([55.0]))[0])
+    60.0
     """
 
     def temperature(nu: Floats) -> Floats:
