@@ -33,4 +33,4 @@ def tell_life(found: Mapping[str, Any]) -> list[tuple[str, str]]:
         "investigations": lambda one: (one["made_at"], f"investigation {one['id'][:12]}: {one['verdict']}"),
     }
     lines = [tell(one) for name, tell in told.items() for one in found[name]]
-    return sorted((at[:10] if at else "", words) for at, words in lines)
+    return [(at[:10], words) for at, words in sorted((at or "", words) for at, words in lines)]

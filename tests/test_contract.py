@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 import typer.main
+from typer.core import TyperGroup
 
 import lbacal
 from lbacal.cli.main import add_commands, app
@@ -64,7 +65,8 @@ def test_a_command_has_its_options(name: str) -> None:
     add_commands()
     found = typer.main.get_command(app)
     for word in name.split():
-        found = found.commands[word]  # type: ignore[attr-defined]
+        assert isinstance(found, TyperGroup)
+        found = found.commands[word]
     options = {option for one in found.params for option in (*one.opts, *one.secondary_opts)}
     assert set(COMMANDS[name].split()) <= options
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer.main
+from typer.core import TyperGroup
 from typer.testing import CliRunner
 
 from lbacal.cli import main as command
@@ -59,7 +60,9 @@ def test_bad_input_exits_with_2_and_failed_work_with_1_and_both_with_one_line(
 def test_every_command_is_listed_once_in_a_group_with_its_whole_first_sentence() -> None:
     command.add_commands()
     listed = [name for names in command.GROUPS.values() for name in names]
-    assert sorted(listed) == sorted(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
+    whole = typer.main.get_command(app)
+    assert isinstance(whole, TyperGroup)
+    assert sorted(listed) == sorted(whole.commands)
     shown = CliRunner().invoke(app, ["--help"]).output
     assert [title for title in command.GROUPS if f"\n{title}:\n" not in shown] == []
     assert "name the cause, extend the\n" in shown

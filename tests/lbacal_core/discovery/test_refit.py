@@ -212,18 +212,20 @@ def test_no_drawn_noise_is_negative_and_what_is_hardly_known_has_its_order_of_ma
 
 
 @pytest.mark.long
-def test_a_step_is_not_four_errors_low_where_noise_is_hardly_told_apart():
+@pytest.mark.parametrize("seed", [41, 65])
+def test_a_step_is_not_four_errors_low_where_noise_is_hardly_told_apart(seed):
     """Of 0.1 were found 0.034 +- 0.006, because the noise in front of the receiver was taken for ten times too much."""
-    row = investigate_drawn(65)
+    row = investigate_drawn(seed)
     assert row["named"]
     assert abs(row["pulls"][0]) < 3.0, (STEP, row["said"])
 
 
 @pytest.mark.long
-def test_a_step_is_no_moving_resonance_where_noise_is_hardly_told_apart():
+@pytest.mark.parametrize("seed", [125, 501])
+def test_a_step_is_no_moving_resonance_where_noise_is_hardly_told_apart(seed):
     """Causes were compared at one share of the noise, at which the step lost 53 of chi^2, and a resonance 12.
 
     A step of ideal SNR 8 scored 4.5 at the fitted share of the noise, and a resonance was named that fits worse.
     """
-    row = investigate_drawn(125)
+    row = investigate_drawn(seed)
     assert (row["named"], row["others"]) == (True, 0), row["said"]

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -9,18 +10,21 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
+from lbacal_core.curves.curves import parse_curve
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.sky.table import read_sky_power
 from lbacal_core.spectra.spectra import Spectra
-from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.campaign import Campaign, simulate_campaign
 from lbacal_twin.faults.fault import Where
-from lbacal_twin.faults.sky import DipoleSwap
+from lbacal_twin.faults.sky import DipoleSwap, LstOffset
 from lbacal_twin.faults.uncatalogued import MainsHum
 from lbacal_twin.settings import TwinSettings
 from service.factory import Factory
+from service.page.render import format_day
 from service.scheduler import look_for_due_work
 from tests.service.conftest import night, served, work
+from validation.twin import planted_curve
 
 PATH = {"station": "CS002", "antenna": 2, "dipole": "Y"}
 """A path of the antenna whose dipoles record a share of each other's sky."""
@@ -207,7 +211,91 @@ def test_what_cannot_be_adopted_is_refused(http: TestClient, found: str) -> None
     assert (twice.status_code, "two" in twice.text) == (422, True)
 
 
-TWO_YEARS = TwinSettings(stations=("CS002",), antennas=4, events_per_year=300, years=1.99)
+LOOP = TwinSettings(stations=("CS002",), antennas=4, events_per_year=300, years=2.99)
+YEARS = ("2014-06-01", "2015-06-01", "2016-06-01")
+FAULT = LstOffset(size=2.0)
+"""From 2015 on the clock is two hours behind: C moves by several errors, and the data contradict the chain."""
+
+
+@pytest.fixture(scope="session")
+def three_years(superterp: Instrument, sky_power_file: Path) -> Campaign:
+    """Three years of a station, the last two with the fault; the same noise with the fault and without."""
+    sky, begin = read_sky_power(sky_power_file), np.datetime64("2015-01-01", "s").astype(float)
+    clean, faulty = (
+        simulate_campaign(LOOP, superterp, sky, np.random.default_rng(15), faults) for faults in ([], [FAULT])
+    )
+    is_faulty = (clean.spectra.time_unix >= begin)[:, None]
+    power = np.where(is_faulty, faulty.spectra.power, clean.spectra.power)
+    return replace(clean, spectra=replace(clean.spectra, power=power))
+
+
+def pulls(http: TestClient, names: list[str], campaign: Campaign) -> Floats:
+    """Band mean of (C - planted) over its statistical error for every version."""
+    found = []
+    for name in names:
+        (content,) = http.get(f"/v1/calibrations/{name}").json()["curves"]
+        curve = parse_curve(content)
+        assert curve.c is not None
+        assert curve.c_sigma_stat is not None
+        error = curve.c / planted_curve(campaign, curve) - 1.0
+        found.append(np.nanmean(error) / np.nanmean(curve.c_sigma_stat / curve.c))
+    return np.array(found)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("database_url", ["postgresql"], indirect=True)
+def test_the_loop_closes_on_a_fault_that_begins_in_the_second_year(
+    make_service: Callable[..., Factory], three_years: Campaign
+) -> None:
+    factory = make_service(three_years.spectra, nightly_investigations=True)
+    with served(factory) as http:
+        jobs = night(factory)
+        assert {job.state for job in jobs} == {"done"}
+        listed = http.get("/v1/investigations").json()["investigations"]
+        by_year = {one["since"][:4]: one for one in listed}
+        assert "lst_offset" not in by_year["2014"]["findings"]
+        named = by_year["2015"]
+        assert named["findings"][0] == "lst_offset"
+
+        def in_effect() -> Any:
+            asked = {"station": "CS002", "gap": "hold"}
+            return [http.get("/v1/calibrations/effective", params={**asked, "at": at}).json()["curves"] for at in YEARS]
+
+        before = in_effect()
+        of_paths = [job for job in jobs if job.request.get("scope") == "antenna"]
+        third = next(job for job in of_paths if format_day(job.request["since"]) == "2016-01-01")
+        old = pulls(http, third.results[0]["calibrations"], three_years)
+        assert np.sqrt(np.mean(old**2)) > 3
+
+        made = adopt(http, named["id"])
+        work(factory)
+        fitted = [http.get(f"/v1/jobs/{number}").json() for number in made["jobs"]]
+        assert [(job["state"], job["gated"]) for job in fitted] == [("done", {})] * 6, "two years of three scopes"
+        asked = {"station": "CS002", "at": YEARS[2]}
+        now = http.get("/v1/calibrations/effective", params=asked).json()["curves"]
+        own = [curve["calibration"] for curve in now if curve["answered_by"] == "antenna"]
+        new = pulls(http, own, three_years)
+        assert new.size == old.size
+        assert np.sqrt(np.mean(new**2)) < 1.7, "eight paths with a common part"
+
+        (line,) = http.get("/v1/models").json()["models"]
+        (gain,) = line["causes"][0]["gains"]
+        assert gain["since"].startswith("2016")
+        assert gain["events"] > 250
+        assert abs(gain["log_likelihood_gain"] - gain["expected"]) < 4 * gain["expected_sigma"]
+        # two hours are far from linear: validation/loop.py compares promise and gain within their errors
+        assert 0.5 < gain["log_likelihood_gain"] / line["promise"][0] < 2.0
+        assert "lst_offset" in http.get("/models").text
+
+        night(factory)
+        left = [one for one in http.get("/v1/investigations").json()["investigations"] if one["since"][:4] != "2014"]
+        assert [one["findings"] for one in left[:2]] == [[], []], "with the cause adopted nothing is left"
+
+        http.post(f"/v1/models/{made['model']}/withdrawal", json={"reason": "test"}).raise_for_status()
+        work(factory)
+        for now, then in zip(in_effect(), before, strict=True):
+            for curve, was in zip(now, then, strict=True):
+                assert np.array_equal(curve["c"], was["c"]), curve["calibration"]
 
 
 @pytest.mark.long
@@ -215,8 +303,8 @@ TWO_YEARS = TwinSettings(stations=("CS002",), antennas=4, events_per_year=300, y
 def test_structure_without_a_name_could_be_adopted_on_files_alone(
     make_service: Callable[..., Factory], sky_power_file: Path, superterp: Instrument
 ) -> None:
-    sky = read_sky_power(sky_power_file)
-    campaign = simulate_campaign(TWO_YEARS, superterp, sky, np.random.default_rng(3), [MainsHum(size=0.03)])
+    two_years, sky = replace(LOOP, years=1.99), read_sky_power(sky_power_file)
+    campaign = simulate_campaign(two_years, superterp, sky, np.random.default_rng(3), [MainsHum(size=0.03)])
     factory = make_service(campaign.spectra)
     with served(factory) as http:
         night(factory)
@@ -235,6 +323,6 @@ def test_structure_without_a_name_could_be_adopted_on_files_alone(
         assert gain["since"].startswith("2015")
         promise, error = line["promise"]
         assert abs(gain["log_likelihood_gain"] - promise) < 4 * np.hypot(error, gain["expected_sigma"])
-        asked = {"station": "CS002", "at": "2015-06-01"}
+        asked = {"station": "CS002", "at": YEARS[1]}
         (curve, *_) = http.get("/v1/calibrations/effective", params=asked).json()["curves"]
         assert http.get(f"/v1/calibrations/{curve['calibration']}").json()["model"] == made.json()["model"]

@@ -87,6 +87,7 @@ class Answers:
         return [self.c(at, path)[2] for at in (BEFORE, JUST, AFTER, NEXT) for path in (STEPPED, STEADY)]
 
 
+@pytest.mark.parametrize("database_url", ["sqlite", "postgresql"], indirect=True)
 def test_c_is_right_on_both_sides_of_a_step_after_every_night_and_decision(
     make_service: Callable[..., Factory], truth: Campaign
 ) -> None:

@@ -61,7 +61,7 @@ def wait_for(is_so: Callable[[], bool]) -> None:
 
 
 @pytest.mark.skipif(not Path("/proc/self/cwd").exists(), reason="needs /proc")
-@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_a_demo_that_is_stopped_left_a_traceback_and_orphans(tmp_path: Path, ending: signal.Signals) -> None:
     # a shell's background jobs ignore SIGINT, and so would the demo of a suite that runs as one
     heed = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"

@@ -1,0 +1,11 @@
+from lbacal.lives import tell_life
+
+
+def test_what_happened_on_one_day_stands_in_the_order_of_its_time() -> None:
+    """It stood in the order of the alphabet."""
+    alarm = {"raised_at": "2014-05-01T09:00:00Z", "alarm": 1, "state": "open", "sentence": "CS001 is wrong"}
+    change = {"at": {"value": "2014-05-01T06:45:00Z"}, "id": 3, "decision": "in_force"}
+    version = {"from": None, "to": "2014-05-01T06:45:00Z", "calibration": "ab" * 32}
+    found = {"in_effect": [version], "changes": [change], "causes": [], "alarms": [alarm], "investigations": []}
+    assert [at for at, _ in tell_life(found)] == ["", "2014-05-01", "2014-05-01"]
+    assert [words.split()[0] for _, words in tell_life(found)] == ["version", "change", "alarm"]
