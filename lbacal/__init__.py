@@ -25,7 +25,7 @@ from lbacal_core.errors import MissingExtraError
 
 _MODULES = {
     "analysis.instrument": ("Antenna", "Instrument", "Site"),
-    "chain": ("Chain", "Stage", "lna_noise", "mismatch"),
+    "chain": ("Chain", "Stage", "effective_length", "lna_noise", "mismatch"),
     "analysis.audit": ("Audit", "audit"),
     "analysis.budget": ("ErrorBudget", "budget"),
     "analysis.data": ("import_data", "read", "simulate"),

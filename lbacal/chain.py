@@ -15,10 +15,12 @@ from lbacal_core.grids import Floats, interpolate
 from lbacal_core.instrument.matching import (
     Impedance,
     interpolate_impedance,
+    length_gain,
     match_noise,
     match_power,
     read_impedance,
     require_passive,
+    turn_reflection,
 )
 from lbacal_core.instrument.stages import FREE, gain_behind, read_touchstone_gain, require_chain
 from lbacal_core.instrument.stages import Stage as CoreStage
@@ -66,7 +68,9 @@ class Stage:
     def on_channels(self, frequency_mhz: Floats) -> CoreStage:
         """The stage with its tables on the channels of an instrument."""
         is_free = isinstance(self.noise, str) and self.noise == FREE
-        noise = None if self.noise is None or is_free else _temperature(self.noise, frequency_mhz)
+        noise = (
+            None if self.noise is None or is_free else spread_numbers(self.noise, u.K, frequency_mhz, "chain: noise")
+        )
         stage = CoreStage(
             name=self.name or self.kind,
             kind=self.kind,
@@ -147,7 +151,7 @@ def _convert_gain(gain: Any, frequency_mhz: Floats) -> Floats:
     return np.broadcast_to(_linear(gain), frequency_mhz.shape)
 
 
-def mismatch(antenna: Any, load: Any = 50.0) -> Callable[[Floats], Floats]:
+def mismatch(antenna: Any, load: Any = 50.0, off: complex = 0.0) -> Callable[[Floats], Floats]:
     """What of an antenna's available power the receiver takes: the gain of a stage of the kind ``load``.
 
     Parameters
@@ -155,6 +159,9 @@ def mismatch(antenna: Any, load: Any = 50.0) -> Callable[[Floats], Floats]:
     antenna, load
         Impedances: ohm, complex or a Quantity; a table (frequency, impedance); a function of the frequency in MHz; or
         the name of a Touchstone file, of which S11 counts (.s1p, or .s2p of an amplifier).
+    off
+        By what fraction of itself the antenna's reflection to 50 ohm is off: 0.05 is 5 % in size, 0.05j in phase
+        (`Instrument.with_alternative`).
 
     Examples
     --------
@@ -163,15 +170,38 @@ def mismatch(antenna: Any, load: Any = 50.0) -> Callable[[Floats], Floats]:
     >>> float(lbacal.mismatch(antenna=73 + 42.5j)(np.array([55.0]))[0].round(4))
     0.8621
     """
-    return lambda nu: match_power(_impedance(antenna, nu, "antenna"), _impedance(load, nu, "load"))
+    return lambda nu: match_power(_antenna(antenna, nu, off), _impedance(load, nu, "load"))
 
 
-def lna_noise(antenna: Any, minimum: Any, resistance: Any, optimum: Any) -> Callable[[Floats], Floats]:
+def effective_length(length: Any, antenna: Any, off: complex = 0.0) -> Callable[[Floats], Floats]:
+    """The `gain` of an `Antenna` by its effective length, m^2: what is available in front of the mismatch.
+
+    Parameters
+    ----------
+    length
+        Open-circuit voltage over a field along the arm from the zenith, m: a number, a table (frequency, length), or a
+        function of the frequency in MHz. With a `mismatch` behind it the loaded voltage is recorded.
+    antenna, off
+        Its impedance, as in `mismatch`.
+
+    Examples
+    --------
+    >>> import lbacal
+    >>> import numpy as np
+    >>> float(lbacal.effective_length(1.5, antenna=75.0)(np.array([55.0]))[0])
+    0.375
+    """
+    return lambda nu: length_gain(spread_numbers(length, u.m, nu, "antenna: length"), _antenna(antenna, nu, off))
+
+
+def lna_noise(
+    antenna: Any, minimum: Any, resistance: Any, optimum: Any, off: complex = 0.0
+) -> Callable[[Floats], Floats]:
     """The noise of an amplifier at an antenna, from its noise parameters: that of the stage of the kind ``load``.
 
     Parameters
     ----------
-    antenna, optimum
+    antenna, off, optimum
         Impedance of the antenna, and the one at which the amplifier is least noisy, as in `mismatch`.
     minimum
         Noise temperature at the optimum, K.
@@ -188,10 +218,14 @@ def lna_noise(antenna: Any, minimum: Any, resistance: Any, optimum: Any) -> Call
     """
 
     def temperature(nu: Floats) -> Floats:
-        seen, best = _impedance(antenna, nu, "antenna"), _impedance(optimum, nu, "optimum")
+        seen, best = _antenna(antenna, nu, off), _impedance(optimum, nu, "optimum")
         return match_noise(seen, convert_number(minimum, u.K), convert_number(resistance, u.ohm), best)
 
     return temperature
+
+
+def _antenna(given: Any, frequency_mhz: Floats, off: complex) -> Impedance:
+    return turn_reflection(_impedance(given, frequency_mhz, "antenna"), off, "chain: impedance of antenna")
 
 
 def _impedance(given: Any, frequency_mhz: Floats, name: str) -> Impedance:
@@ -205,14 +239,13 @@ def _impedance(given: Any, frequency_mhz: Floats, name: str) -> Impedance:
     return require_passive(np.broadcast_to(np.asarray(found, dtype=complex), frequency_mhz.shape), place)
 
 
-def _temperature(noise: Any, frequency_mhz: Floats) -> Floats:
-    if callable(noise):
-        return np.broadcast_to(np.asarray(noise(frequency_mhz), dtype=float), frequency_mhz.shape).copy()
-    if isinstance(noise, tuple):
-        return interpolate(
-            convert_numbers(noise[0], u.MHz), convert_numbers(noise[1], u.K), frequency_mhz, "chain: noise"
-        )
-    return np.broadcast_to(convert_numbers(noise, u.K), frequency_mhz.shape).copy()
+def spread_numbers(given: Any, unit: u.UnitBase, frequency_mhz: Floats, place: str) -> Floats:
+    """A number, a table (frequency, number) or a function of the frequency in MHz, shape (freq,)."""
+    if callable(given):
+        return np.broadcast_to(np.asarray(given(frequency_mhz), dtype=float), frequency_mhz.shape).copy()
+    if isinstance(given, tuple) and len(given) == 2:
+        return interpolate(convert_numbers(given[0], u.MHz), convert_numbers(given[1], unit), frequency_mhz, place)
+    return np.broadcast_to(convert_numbers(given, unit), frequency_mhz.shape).copy()
 
 
 def _linear(gain: Any) -> Floats:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Union
 
-import numpy as np
 from astropy import units as u
 
-from lbacal.chain import Chain, convert_number, convert_numbers
+from lbacal.chain import Chain, convert_number, convert_numbers, spread_numbers
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.antennas import ABSOLUTE, AntennaRecord, GainProvenance
 from lbacal_core.instrument.antennas import Site as CoreSite
@@ -50,7 +49,8 @@ class Antenna:
     arms
         Azimuth of each dipole's arm by its letter, deg, north through east; or (azimuth, tilt).
     gain
-        G_ant, m^2: one number, or one a channel. 1 makes C relative.
+        G_ant, m^2: one number, one a channel, or a function of the frequency in MHz such as `effective_length`. 1 makes
+        C relative.
     gain_source
         Where a G_ant in m^2 comes from, in words; None for one that is in m^2 up to a factor.
     """
@@ -100,7 +100,7 @@ class Instrument:
             **vars(site.core()),
             frequency_mhz=frequency_mhz,
             dipole_azimuth_deg={letter: convert_number(azimuth, u.deg) for letter, (azimuth, _) in arms.items()},
-            antenna_gain=np.broadcast_to(convert_numbers(antenna.gain, u.m**2), frequency_mhz.shape).copy(),
+            antenna_gain=spread_numbers(antenna.gain, u.m**2, frequency_mhz, "antenna: gain"),
             receiver_gain=chain.receiver_gain(frequency_mhz).copy(),
             cables={CABLE: chain.cable_loss(frequency_mhz).copy()},
             antennas=tuple(
@@ -122,6 +122,26 @@ class Instrument:
         """An instrument that ships with the package, or the one of a file."""
         made = cls.__new__(cls)
         made.core = load_instrument(str(name_or_file))
+        return made
+
+    def with_alternative(self, name: str, *others: Instrument) -> Instrument:
+        """The instrument that may be like others, each one standard deviation off: a term of the error of C.
+
+        `fit` and `budget` refit the same spectra with each. Others may differ in their gains and stages; a name that is
+        there is given new ones.
+
+        Examples
+        --------
+        >>> import lbacal
+        >>> site, nu = lbacal.Site(52.9, 6.9), range(30, 81)
+        >>> antennas = [lbacal.Antenna("short-dipole", {"X": 45.0}, gain) for gain in (1.0, 1.1)]
+        >>> mine, larger = (lbacal.Instrument("mine", site, one, lbacal.Chain(), nu) for one in antennas)
+        >>> list(mine.with_alternative("G_ant, 10 %", larger).core.alternatives)
+        ['G_ant, 10 %']
+        """
+        made = type(self).__new__(type(self))
+        alternatives = {**self.core.alternatives, name: tuple(one.core for one in others)}
+        made.core = replace(self.core, alternatives=alternatives)
         return made
 
     def save(self, path: str | Path) -> None:

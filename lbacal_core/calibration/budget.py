@@ -30,7 +30,7 @@ from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.data.prior import read_prior
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
-from lbacal_core.instrument.chain import Intercepts
+from lbacal_core.instrument.chain import Intercepts, noise_constants
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.simulation.prior import DEFAULT_SKY_BUDGET, PAPER_BUDGET, SkyPrior
 from lbacal_core.simulation.simulation import Simulation
@@ -168,6 +168,7 @@ def compute_budget(
         if prior is not None and prior.antennas and refits:
             of_antennas, unsure = _doubt_antenna(refits, prior)
             terms += of_antennas
+        terms += _doubt_instrument(refits, simulation)
         if refits:
             terms += _doubt_form(refits, simulation, compare_forms(spectra, simulation))
         return Budget(simulation.instrument.frequency_mhz, tuple(_gather(terms)), unsure)
@@ -192,6 +193,23 @@ def _doubt_antenna(
     likely = prior.antennas[int(np.argmax(probability))].name
     source = f"probability {probability.sum():.1g} by these data, most likely {likely}"
     return [BudgetTerm(OTHER_ANTENNA, source, vectors)], unsure
+
+
+def _doubt_instrument(refits: Mapping[str, _Refit], simulation: Simulation) -> list[BudgetTerm]:
+    """What C would be with the gains and stages that the instrument may have instead.
+
+    C^2 = G_ant / s (eq. cal_equation): G_ant enters by itself, all else by how it refers noise to the sky.
+    """
+    own, terms = simulation.instrument, []
+    for name, others in own.alternatives.items():
+        of_gain = np.array([0.5 * np.log(one.antenna_gain / own.antenna_gain) for one in others])
+        noise = [noise_constants(one, simulation.form) for one in others]
+        vectors = {
+            dipole: of_gain + [_finite(refit.exchange_form(one)) for one in noise] for dipole, refit in refits.items()
+        }
+        is_of_gain = all(np.allclose(one, of_gain) for one in vectors.values())
+        terms.append(BudgetTerm(name, "alternatives of the instrument, a refit each", vectors, is_of_gain))
+    return terms
 
 
 def _doubt_form(refits: Mapping[str, _Refit], simulation: Simulation, found: ChainForm) -> list[BudgetTerm]:

@@ -36,6 +36,8 @@ from lbacal_core.provenance import hash_content
 
 STEEPEST_DEG = 90.0
 """Tilt of an arm that stands upright."""
+ALTERNATIVE = ("antenna_gain", "receiver_gain", "stages")
+"""Fields in which an alternative may differ."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +70,8 @@ class Instrument:
         the antenna. None for spectra in ADC units.
     sites
         Where stations stand that do not stand where the instrument does, by name.
+    alternatives
+        What gains and stages may be instead, each one standard deviation off, by what it is that is not known better.
     """
 
     name: str
@@ -87,6 +91,7 @@ class Instrument:
     stages: Sequence[Stage] = ()
     kelvin_error: float | None = None
     sites: Mapping[str, Site] = dataclasses.field(default_factory=dict)
+    alternatives: Mapping[str, Sequence[Instrument]] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
         place = f"instrument {self.name}"
@@ -108,6 +113,9 @@ class Instrument:
             if record.since is not None and record.until is not None and record.since >= record.until:
                 raise BadInputError(f"{place}: antennas, row {row}: until", "a date after since", "one that is not")
         require_one_at_a_time(self.antennas, place)
+        for name, others in self.alternatives.items():
+            if not others or any(not np.array_equal(one.frequency_mhz, self.frequency_mhz) for one in others):
+                raise BadInputError(f"{place}: alternatives.{name}", "one or more, on the same channels", "another")
 
     def _require_sites(self) -> None:
         place = f"instrument {self.name}"
@@ -260,6 +268,13 @@ class Instrument:
             **({"stages": [stage.as_dict() for stage in self.stages]} if self.stages else {}),
             **({} if self.kelvin_error is None else {"calibrated_in_kelvin": {"error": self.kelvin_error}}),
             **({"sites": {name: site.as_dict() for name, site in sorted(self.sites.items())}} if self.sites else {}),
+            **({"alternatives": self._list_alternatives()} if self.alternatives else {}),
+        }
+
+    def _list_alternatives(self) -> dict[str, Any]:
+        return {
+            name: [{field: value for field, value in one.as_dict().items() if field in ALTERNATIVE} for one in others]
+            for name, others in self.alternatives.items()
         }
 
     def digest(self) -> str:
@@ -354,6 +369,7 @@ def parse_instrument(content: Any, place: str, folder: Path | None = None) -> In
     """
     if not isinstance(content, dict):
         raise BadInputError(place, "a JSON object", type(content).__name__)
+    alternatives = _parse_alternatives(content, place, folder)
     stages: tuple[Stage, ...] = ()
     if "stages" in content:
         frequency_mhz = parse_numbers(content.get("frequency_mhz"), f"{place}: frequency_mhz")
@@ -395,7 +411,28 @@ def parse_instrument(content: Any, place: str, folder: Path | None = None) -> In
         stages=stages,
         kelvin_error=_parse_kelvin_error(content.get("calibrated_in_kelvin"), f"{place}: calibrated_in_kelvin"),
         sites=parse_sites(content.get("sites"), f"{place}: sites", height_m),
+        alternatives=alternatives,
     )
+
+
+def _parse_alternatives(
+    content: Mapping[str, Any], place: str, folder: Path | None
+) -> dict[str, tuple[Instrument, ...]]:
+    """Each is the content of the file with other gains and stages."""
+    given = content.get("alternatives", {})
+    is_list = isinstance(given, dict) and all(isinstance(one, list) for one in given.values())
+    rows = [row for one in given.values() for row in one] if is_list else [None]
+    if not all(isinstance(row, dict) and row and set(row) <= set(ALTERNATIVE) for row in rows):
+        expected = f"lists of objects with some of {', '.join(ALTERNATIVE)}, by name"
+        raise BadInputError(f"{place}: alternatives", expected, "another shape")
+    own = {name: value for name, value in content.items() if name != "alternatives"}
+    return {
+        str(name): tuple(
+            parse_instrument({**own, **row}, f"{place}: alternatives.{name}, row {k}", folder)
+            for k, row in enumerate(one)
+        )
+        for name, one in given.items()
+    }
 
 
 def _parse_kelvin_error(content: Any, place: str) -> float | None:

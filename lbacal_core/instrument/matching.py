@@ -1,6 +1,8 @@
 """What an antenna hands to the amplifier behind it, from impedances or S11, and the amplifier's noise at that antenna.
 
-From an antenna of impedance Z_A = R_A + i X_A a load Z_L takes the share 4 R_A R_L / |Z_A + Z_L|^2 of the available
+A field E makes the voltage h E at the open feed of an antenna of the effective length h, of which |h E|^2 / (4 R_A) is
+available (Balanis 2016, Antenna Theory, eq. 2-94): a G_ant of |h|^2 R_r / (4 R_A) in front of the mismatch. From an
+antenna of impedance Z_A = R_A + i X_A a load Z_L takes the share 4 R_A R_L / |Z_A + Z_L|^2 of the available
 power, which is 1 - |S11|^2 where Z_L is the reference impedance of S11. An amplifier with the noise parameters T_min,
 R_n and Z_opt adds T_min + T_0 R_n / G_A |1/Z_A - 1/Z_opt|^2 to the temperature of the antenna, G_A = Re(1/Z_A) and
 T_0 = 290 K (Haus et al. 1960, Proc. IRE 48, 69, with T = T_0 (F - 1)).
@@ -20,8 +22,21 @@ from lbacal_core.grids import Floats, interpolate
 
 Impedance = NDArray[np.complex128]
 """Ohm, shape (freq,)."""
+RESISTANCE_OHM = 50.0
+"""R_r, to which recorded powers and G_ant are referred."""
 T_0 = 290.0
 """Temperature at which noise figures are defined, K."""
+
+
+def length_gain(length_m: Floats, antenna: Impedance) -> Floats:
+    """G_ant of an antenna by its effective length for a field along its arm, as available power, m^2, shape (freq,)."""
+    return np.asarray(length_m**2 * RESISTANCE_OHM / (4.0 * antenna.real))
+
+
+def turn_reflection(impedance: Impedance, off: complex, place: str) -> Impedance:
+    """The impedance with its reflection to 50 ohm off by a complex fraction of it: 0.05 in size, 0.05j in phase."""
+    s11 = (1.0 + off) * (impedance - RESISTANCE_OHM) / (impedance + RESISTANCE_OHM)
+    return require_passive(RESISTANCE_OHM * (1.0 + s11) / (1.0 - s11), place)
 
 
 def match_power(antenna: Impedance, load: Impedance) -> Floats:
@@ -45,10 +60,10 @@ def require_passive(impedance: Impedance, place: str) -> Impedance:
 
 def interpolate_impedance(nu: Floats, impedance: Impedance, frequency_mhz: Floats, place: str) -> Impedance:
     """Impedances of a table on the channels, which it must cover: S11 to 50 ohm is linear between its rows."""
-    s11 = (impedance - 50.0) / (impedance + 50.0)
+    s11 = (impedance - RESISTANCE_OHM) / (impedance + RESISTANCE_OHM)
     found = 1j * interpolate(nu, s11.imag, frequency_mhz, place)
     found += interpolate(nu, s11.real, frequency_mhz, place)
-    return require_passive(50.0 * (1.0 + found) / (1.0 - found), place)
+    return require_passive(RESISTANCE_OHM * (1.0 + found) / (1.0 - found), place)
 
 
 def read_impedance(path: Path, frequency_mhz: Floats) -> Impedance:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
+from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +13,7 @@ from astropy import units as u
 
 import lbacal
 from lbacal_core.errors import BadInputError
+from lbacal_core.instrument.instrument import parse_instrument
 from lbacal_core.instrument.matching import T_0, match_noise, match_power
 
 NU = np.arange(30.0, 81.0)
@@ -78,6 +82,60 @@ def test_an_antenna_with_its_impedance_and_the_noise_parameters_of_its_amplifier
     instrument.save(tmp_path / "mine.json")
     again = lbacal.fit(spectra, tmp_path / "mine.json")
     np.testing.assert_allclose(again.table["c"].value, found.table["c"].value)
+
+
+def test_a_short_dipole_has_the_gain_of_its_effective_area() -> None:
+    """Half its length, 20 (k L)^2 / 4 ohm of a linear current (Balanis 2016, eq. 4-37), and 3/2 of lambda^2 / 4 pi."""
+    length, wavelength = 0.5, 299.792458 / NU
+    resistance = 20.0 * np.pi**2 * (length / wavelength) ** 2
+    area = 1.5 * wavelength**2 / (4 * np.pi)
+    found = lbacal.effective_length((NU * u.MHz, np.full(NU.size, length / 2) * u.m), (NU * u.MHz, resistance * u.ohm))
+    np.testing.assert_allclose(found(NU), area * 50.0 / 376.730313668, rtol=2e-3)
+
+
+def write_s1p(path: Path) -> None:
+    nu = np.arange(20.0, 91.0)
+    s11 = reflect(20.0 + 0.8 * nu + 1j * (4.0 * nu - 220.0))
+    rows = [f"{one:g} {s.real:.9f} {s.imag:.9f}" for one, s in zip(nu, s11, strict=True)]
+    path.write_text("\n".join(["# MHz S RI R 50", *rows]) + "\n")
+
+
+@pytest.mark.long
+def test_an_error_of_s11_is_a_term_of_the_budget_that_planted_errors_make(
+    repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The page's own example; and spectra of an antenna whose S11 is off, fitted with the one on record."""
+    page = (repository / "docs/how-to/describe-your-chain.md").read_text().split("## S11")[1]
+    monkeypatch.chdir(tmp_path)
+    write_s1p(tmp_path / "antenna.s1p")
+    names: dict[str, Any] = {}
+    exec(compile(page.split("```python\n")[1].split("```")[0], "page", "exec"), names)  # noqa: S102 - the page is ours
+    mine, instrument = names["mine"], names["instrument"]
+    assert {curve.status for curve in names["found"].report.curves} == {"converged"}
+    terms = {term.name: term for term in lbacal.budget(names["spectra"], instrument).terms}
+    np.testing.assert_allclose(terms["length, 3 %"].vectors["X"][0], np.log(1.03), atol=0.003)
+    instrument.save("mine.json")
+    again = {term.name: term for term in lbacal.budget(names["spectra"], "mine.json").terms}
+    np.testing.assert_allclose(again["S11, 5 %"].vectors["X"], terms["S11, 5 %"].vectors["X"], rtol=1e-9)
+    found, others = names["found"].table, [lbacal.fit(names["spectra"], mine(off)).table for off in (0.05, 0.05j)]
+    for dipole, vectors in terms["S11, 5 %"].vectors.items():
+        rows = found["dipole"] == dipole
+        changes = np.array([np.log(other["c"] / found["c"])[rows].value for other in others])
+        np.testing.assert_allclose(vectors.T @ vectors, changes.T @ changes, atol=1e-5)
+    spectra = lbacal.simulate(mine(0.1))
+    wrong, right = (lbacal.fit(spectra, one).table for one in (mine(), mine(0.1)))
+    truth, rows = spectra.truth["c"], wrong["dipole"] == "X"
+    error = right["c_sigma_stat"] / right["c"]
+    assert np.max(np.abs(np.log(right["c"] / truth) / error)[rows].value) < 4.0
+    assert np.max(np.abs(np.log(wrong["c"] / right["c"]) / error)[rows].value) > 4.0
+
+
+def test_alternatives_of_another_shape_are_refused() -> None:
+    content = json.loads((files("lbacal_core") / "data/instruments/lofar-superterp.json").read_text())
+    with pytest.raises(BadInputError, match="alternatives: expected lists of objects with some of antenna_gain"):
+        parse_instrument({**content, "alternatives": {"gain": [{"name": "another"}]}}, "mine.json")
+    with pytest.raises(BadInputError, match=r"mine.json: alternatives.gain, row 0: antenna_gain"):
+        parse_instrument({**content, "alternatives": {"gain": [{"antenna_gain": "1"}]}}, "mine.json")
 
 
 def test_an_active_antenna_is_refused() -> None:
