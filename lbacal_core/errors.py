@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from difflib import get_close_matches
+
 LONGEST_FOUND = 120
 """Characters of what was found that a message shows: a file may hold megabytes in the wrong place."""
 
@@ -46,13 +49,27 @@ class UnreadableFileError(LbacalError):
 
 
 class UnknownNameError(LbacalError):
-    """A name that nothing answers to; the message lists the names that exist."""
+    """A name that nothing answers to; the message offers the one that may be meant, and lists those that exist."""
 
     status = 404
     code = "unknown_name"
 
     def __init__(self, kind: str, name: str, known: list[str]) -> None:
-        super().__init__(f"unknown {kind} {name!r}; known: {', '.join(known)}, or the path of a file")
+        near = near_name(name, known)
+        meant = f"is {near} meant? " if near else ""
+        of_file = ", or the path of a file" if kind in KINDS_IN_FILES else ""
+        super().__init__(f"unknown {kind} {name!r}; {meant}known: {', '.join(known)}{of_file}")
+
+
+KINDS_IN_FILES = ("instrument", "sky model", "antenna model")
+
+
+def near_name(name: str, known: Sequence[str]) -> str | None:
+    """The one of some names that is most like another, whatever its case; None where none is."""
+    plain = {one.lower(): one for one in known}
+    held = [one for one in plain if name and name.lower() in one]
+    found = held or get_close_matches(name.lower(), plain, n=1)
+    return plain[found[0]] if found else None
 
 
 class MissingExtraError(LbacalError):

@@ -162,7 +162,7 @@ class Instrument:
         nu, letters = one.frequency_mhz, ", ".join(one.dipoles)
         return (
             f"<Instrument {one.name}: {len(one.antennas)} antennas with {letters}, {nu.size} channels "
-            f"{nu[0]:g}-{nu[-1]:g} MHz, {one.latitude_deg:g} deg north>"
+            f"{nu[0]:g}-{nu[-1]:g} MHz, {one.latitude_deg:g} deg north, {one.longitude_deg:g} deg east>"
         )
 
 

@@ -119,13 +119,16 @@ EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
 _BAD_INPUT = (BadInputError, UnreadableFileError, UnknownNameError, MissingExtraError)
 _BAD_REQUEST = (400, 413, 415, 422)
+_BAD_USAGE: Any = typer.BadParameter.__base__
 _UNUSABLE_FILES = (FileExistsError, FileNotFoundError, IsADirectoryError, NotADirectoryError, PermissionError)
 
 
 def run() -> None:
     """Run the command: exit 0 done, 1 the work failed, 2 bad usage or bad input, never a traceback for those."""
     try:
-        app()
+        sys.exit(app(prog_name="lbacal", standalone_mode=False))
+    except _BAD_USAGE as error:
+        _tell_usage(error)
     except LbacalError as error:
         print(f"lbacal: {error}{f': {error.detail}' if error.detail else ''}", file=sys.stderr)
         is_bad_input = isinstance(error, _BAD_INPUT) or error.status in _BAD_REQUEST
@@ -136,6 +139,17 @@ def run() -> None:
     except OSError as error:
         print(f"lbacal: the work failed: {error}", file=sys.stderr)
         sys.exit(EXIT_FAILED)
+
+
+def _tell_usage(error: Any) -> None:
+    """One sentence with the command that says more; a command that needs arguments and has none shows its help."""
+    message = error.format_message().strip()
+    if "\n" in message:
+        error.show()
+    else:
+        command = error.ctx.command_path if error.ctx else "lbacal"
+        print(f"{command}: {message[:1].lower()}{message[1:].rstrip('.')}; see {command} --help", file=sys.stderr)
+    sys.exit(EXIT_BAD_INPUT)
 
 
 def main() -> None:

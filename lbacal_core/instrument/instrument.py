@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.errors import BadInputError, UnknownNameError
+from lbacal_core.errors import BadInputError, UnknownNameError, near_name
 from lbacal_core.foreign import parse_name, parse_number, parse_numbers, parse_optional_name, read_json
 from lbacal_core.grids import Floats, require_channels
 from lbacal_core.instrument.antennas import (
@@ -165,8 +165,10 @@ class Instrument:
         unknown = [str(letter) for letter in np.unique(letters) if str(letter) not in self.dipole_azimuth_deg]
         if unknown:
             row = int(np.flatnonzero(letters == unknown[0])[0])
+            near = near_name(unknown[0], self.dipoles)
             expected = f"a dipole of instrument {self.name} ({', '.join(self.dipoles)})"
-            raise BadInputError(f"{origin}: dipole, row {row}", expected, repr(unknown[0]))
+            found = f"{unknown[0]!r}{f' (is {near} meant?)' if near else ''}"
+            raise BadInputError(f"{origin}: dipole, row {row}", expected, found)
 
     def _require_stages(self) -> None:
         if not self.stages:
@@ -219,8 +221,10 @@ class Instrument:
         if not records:
             stations = sorted({r.station for r in self.antennas})
             own = sorted({r.antenna for r in self.antennas if r.station == station})
-            there = f"antennas {own[0]} to {own[-1]} there" if own else f"stations {', '.join(stations[:5])} alone"
-            raise BadInputError(place, f"an antenna of instrument {self.name}", there)
+            near = near_name(station, stations)
+            there = f"antennas {own[0]} to {own[-1]} of it" if own else f"stations {', '.join(stations)}"
+            found = place if own or near is None else f"{place} (is {near} meant?)"
+            raise BadInputError(place, f"an antenna of instrument {self.name} ({there})", found)
         for instant in (first_unix, last_unix):
             if not any(record.covers(instant) for record in records):
                 raise BadInputError(

@@ -267,10 +267,8 @@ def read_spectra(path: Path, now_unix: float | None = None) -> Spectra:
         with h5py.File(path, "r") as file:
             content = _read_open_file(file, path.name)
     except hdf5.HDF5_FAILURES as error:
-        reason = str(error)[:120]
-        raise UnreadableFileError(
-            f"{path}: expected a spectra file (HDF5), found something unreadable ({reason})"
-        ) from error
+        found = f"something unreadable ({str(error)[:120]}): lbacal import reads other formats"
+        raise UnreadableFileError(f"{path}: expected a spectra file (HDF5), found {found}") from error
     spectra = Spectra(**content, origin=path.name).without_flagged()
     if len(spectra) == 0 and spectra.left_out:
         raise BadInputError(

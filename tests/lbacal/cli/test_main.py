@@ -6,6 +6,7 @@ import subprocess
 import sys
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -43,7 +44,7 @@ LBACAL = Path(sys.executable).with_name("lbacal")
 def test_bad_input_exits_with_2_and_failed_work_with_1_and_both_with_one_line(
     error: Exception, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def work() -> None:
+    def work(**_: Any) -> None:
         raise error
 
     monkeypatch.setattr(command, "app", work)
