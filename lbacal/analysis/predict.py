@@ -18,7 +18,8 @@ from lbacal.analysis.instrument import Described, simulation_of
 from lbacal.analysis.result import Result
 from lbacal.client import Client, format_time
 from lbacal.instants import format_instant, parse_instant
-from lbacal_core.calibration.prediction import EventNoise, predict_alone, predict_path
+from lbacal_core.calibration.prediction import EventNoise, predict_alone
+from lbacal_core.discovery.forward import predict as predict_path
 from lbacal_core.errors import UnknownNameError
 from lbacal_core.grids import Floats
 
@@ -73,7 +74,7 @@ def predict(
     at
         An astropy Time, a datetime (naive = UTC) or ISO 8601 text.
     temperature
-        Outside temperature, deg C or a Quantity.
+        Outside temperature, deg C or a Quantity, for adopted causes that follow it.
 
     Examples
     --------
@@ -103,8 +104,8 @@ def predict(
         wanted, names = f"{station} antenna {antenna} {dipole}", [one.name for one in curves.values()]
         raise UnknownNameError("curve", wanted, names[:SHOWN_NAMES])
     named = None if curve.covariance is None else source.report.budgets.get(str(curve.covariance.budget))
-    noise = None if curve.c is None else EventNoise.measured(curve, source.spectra, source.simulation)
-    found = predict_path(curve, source.simulation, 1e-6 * instant, noise, named, celsius)
+    noise = None if curve.c is None else EventNoise.measured(curve, source.without_causes, source.simulation)
+    found = predict_path(curve, source.with_sizes, 1e-6 * instant, noise, named, celsius)
     return _make({"at": format_instant(instant), **found.as_dict()})
 
 

@@ -8,7 +8,8 @@ much, the electronics get too little. With the mean P_sky over the sidereal day 
 
 for every error of C that the noise of the data makes. A sky that is wrong by dP_sky(t) moves s and N of the fit as far
 as dP_sky is a straight line in P_sky; what is left, dP_sky less that line, is wrong in P. A gain that one path has
-beside its reference chain moves all that is in front of it: d ln P = -2 d ln C s (P_sky + N_front) / P.
+beside its reference chain moves all that is in front of it: d ln P = -2 d ln C s (P_sky + N_front) / P. An error of
+the size of an adopted cause moves what the cause does at the instant.
 """
 
 from __future__ import annotations
@@ -26,9 +27,10 @@ from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.data.prior import read_prior
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, guess_widths
+from lbacal_core.instrument.chain import ChainTerms
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.instrument.power_unit import RESISTANCE_OHM, power_per_kelvin_sr
-from lbacal_core.simulation.simulation import Simulation, noise_at_input, noise_of
+from lbacal_core.simulation.simulation import Simulation, noise_at_input, noise_of, terms_of
 from lbacal_core.sky.antenna_of import antenna_of
 from lbacal_core.sky.sources import point_source_power, response_towards
 from lbacal_core.sky.table import read_at
@@ -41,6 +43,8 @@ BLOCK_US = BLOCK_SAMPLES / 200.0
 """Duration of a block at 200 MHz, microseconds."""
 RINGS, SPOKES = 48, 64
 """Directions over which a pattern is integrated; the patterns that ship vary by less than six waves over the sky."""
+SMALLEST_SHARE = 1e-9
+"""Share of the power from which it is said that causes add noise, or take it."""
 
 
 @dataclass(frozen=True)
@@ -107,6 +111,25 @@ def _split(covariance: Floats, events: int) -> tuple[Floats, Floats]:
     kept = size > typical * (1.0 + (size.size / events) ** 0.5) ** 2
     shared = np.sqrt(size[kept] - typical)[:, None] * axes[:, kept].T
     return shared[::-1], np.maximum(np.diag(covariance) - np.sum(shared**2, axis=0), 0.0)
+
+
+@dataclass(frozen=True)
+class Acting:
+    """What adopted causes make of the chain of a path at an instant (`discovery.forward`).
+
+    Attributes
+    ----------
+    terms
+        The chain with them, shape (freq,) each.
+    moved
+        The same with one size after the other moved by its standard deviation.
+    notes
+        What acts, and what was not known of the instant, a sentence each.
+    """
+
+    terms: ChainTerms
+    moved: Sequence[ChainTerms] = ()
+    notes: Sequence[str] = ()
 
 
 @dataclass(frozen=True)
@@ -191,11 +214,11 @@ def predict_path(
     time_unix: float,
     noise: EventNoise | None = None,
     budget: Budget | None = None,
-    temperature_c: float | None = None,
+    acting: Acting | None = None,
     *,
     is_own: bool = True,
 ) -> Prediction:
-    """What a calibrated path should record at an instant.
+    """What a calibrated path should record at an instant; with adopted causes ask `discovery.forward.predict`.
 
     Parameters
     ----------
@@ -203,6 +226,8 @@ def predict_path(
         How its events scatter; as published, averaged over 100 blocks, unless given.
     budget
         The systematic terms that the curve's covariance names.
+    acting
+        What adopted causes make of its chain then; None where there are none.
     is_own
         Whether the curve was fitted to the path itself, and is not that of its station or of the array.
     """
@@ -210,17 +235,24 @@ def predict_path(
         raise BadInputError(curve.name, "a curve of one polarisation that converged", curve.status)
     at, instrument, table = curve.has_value, simulation.instrument, simulation.sky_power.of_station(curve.station)
     lst = simulation.sidereal_time(curve.station, np.array([time_unix]))
-    sky = table.at(curve.dipole, lst)[0][at]
-    terms, of_chain = noise_at_input(curve, instrument), noise_of(curve, instrument)
-    contributions = {"sky": sky, **{name: one[at] for name, one in terms.items()}}
-    total = np.sum(list(contributions.values()), axis=0)
-    behind = [contributions[name.removeprefix("n_")] for name in of_chain.names[len(of_chain.front) :]]
+    plain = terms_of(curve, instrument, table.at(curve.dipole, lst)[0])
+    acting = Acting(plain) if acting is None else acting
+    chain, of_chain = acting.terms, noise_of(curve, instrument)
+    power, sky = chain.power()[at], chain.sky[at]
+    total = power / chain.front[at]
+    contributions = {"sky": sky, **{name: one[at] for name, one in noise_at_input(curve, instrument).items()}}
+    behind = [name.removeprefix("n_") for name in of_chain.names[len(of_chain.front) :]]
+    contributions |= {name: contributions[name] * (plain.front / chain.front)[at] for name in behind}
+    rest = total - np.sum(list(contributions.values()), axis=0)
+    if np.any(np.abs(rest) > SMALLEST_SHARE * total):
+        contributions["causes"] = rest
     # what an error of ln C moves: the sky about its mean, or all that one gain in front multiplies
-    about, in_front = sky - table.power[curve.dipole].mean(axis=0)[at], total - np.sum(behind, axis=0)
+    about, in_front = sky - table.power[curve.dipole].mean(axis=0)[at], (chain.sky + chain.n_lna)[at]
     by_noise = [error[at] * about for error in statistical_errors(curve)]
     own: Sequence[Floats] = [] if curve.covariance is None else [*np.nan_to_num(curve.covariance.own[:, at])]
     by_gain = [error * (about if is_own else in_front) for error in own]
     by_sky = [-0.5 * error[at] for error in _sky_errors(curve, simulation, lst)]
+    by_size = [(one.power()[at] / power, one.front[at] / chain.front[at]) for one in acting.moved]
     # SEFD goes with C^2/G_ant, in which the antenna gain cancels
     of_gain = None if budget is None else replace(budget, terms=[one for one in budget.terms if not one.is_of_gain])
     of_c = [error[at] for error in (*statistical_errors(curve), *systematic_errors(curve, of_gain))]
@@ -229,14 +261,20 @@ def predict_path(
         name={"station": curve.station, "antenna": curve.antenna, "dipole": curve.dipole},
         lst_hours=float(lst[0]),
         frequency_mhz=curve.frequency_mhz[at],
-        power=(instrument.antenna_gain / curve.c**2)[at] * total,
-        errors=np.reshape([-2.0 * one / total for one in (*by_noise, *by_gain, *by_sky)], (-1, sky.size)),
+        power=power,
+        errors=np.reshape(
+            [
+                *(-2.0 * one / total for one in (*by_noise, *by_gain, *by_sky)),
+                *(np.log(moved) for moved, _ in by_size),
+            ],
+            (-1, sky.size),
+        ),
         contributions=contributions,
         per_kelvin=None if kelvin is None else kelvin[at],
-        sefd_error=2.0 * np.linalg.norm(of_c, axis=0),
+        sefd_error=np.linalg.norm([*(2.0 * one for one in of_c), *(np.log(p / s) for p, s in by_size)], axis=0),
         noise=noise or EventNoise.expected(curve.frequency_mhz[at]),
         is_calibrated=True,
-        notes=_tell_causes(simulation, temperature_c),
+        notes=acting.notes,
     )
 
 
@@ -267,14 +305,6 @@ def predict_alone(simulation: Simulation, station: str, antenna: int, dipole: st
         is_calibrated=False,
         notes=[f"noise that only data determine is not in it: {free}"] if free else [],
     )
-
-
-def _tell_causes(simulation: Simulation, temperature_c: float | None) -> list[str]:
-    """What of temperature and adopted causes is not in a prediction."""
-    causes = ", ".join(one.cause for one in simulation.causes.causes)
-    if causes:
-        return [f"what the adopted causes do at this instant is not in it: {causes}"]
-    return [] if temperature_c is None else ["no cause of the model follows the temperature: it changes nothing"]
 
 
 def _sky_errors(curve: CalibrationCurve, simulation: Simulation, lst_hours: Floats) -> Iterator[Floats]:
