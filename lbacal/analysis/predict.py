@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -49,10 +49,32 @@ class Prediction(Result):
     def draw_events(self, count: int, seed: int = 1) -> Floats:
         """Recorded power of single events, shape (event, freq), with the right spectrum and correlation along it.
 
-        Events are independent of each other, and of those of other antennas, which in a station share a part of the
-        gain and a little of the sky's noise.
+        Events are independent of each other, and of those of other antennas: `draw_together` draws what antennas share.
         """
-        return np.asarray(self.power * _noise_of(self.content).draw(count, np.random.default_rng(seed)))
+        return draw_together([self], count, seed)[0]
+
+
+def draw_together(predictions: Sequence[Prediction], count: int, seed: int = 1) -> list[Floats]:
+    """Recorded power of the same events in several paths, shape (event, freq) for each of them.
+
+    The gain of an event is in part common to the paths of a station, as measured or as published. A little of the
+    sky's own noise, which near antennas share too, is not.
+
+    Examples
+    --------
+    >>> import lbacal
+    >>> at = {"station": "CS002", "dipole": "X", "at": "2014-05-01"}
+    >>> paths = [lbacal.predict("lofar-superterp", antenna=antenna, **at) for antenna in (1, 2)]
+    >>> one, other = lbacal.draw_together(paths, 1000)
+    >>> bool(np.corrcoef(one.mean(axis=1), other.mean(axis=1))[0, 1] > 0.2)
+    True
+    """
+    rng = np.random.default_rng(seed)
+    gains = {name: rng.standard_normal(count) for name in sorted({one.content["station"] for one in predictions})}
+    return [
+        np.asarray(one.power * _noise_of(one.content).draw(count, rng, gains[one.content["station"]]))
+        for one in predictions
+    ]
 
 
 def predict(
@@ -104,7 +126,9 @@ def predict(
         wanted, names = f"{station} antenna {antenna} {dipole}", [one.name for one in curves.values()]
         raise UnknownNameError("curve", wanted, names[:SHOWN_NAMES])
     named = None if curve.covariance is None else source.report.budgets.get(str(curve.covariance.budget))
-    noise = None if curve.c is None else EventNoise.measured(curve, source.without_causes, source.simulation)
+    noise = None
+    if curve.c is not None:
+        noise = EventNoise.measured(curve, source.without_causes, source.simulation, source.report.curves)
     found = predict_path(curve, source.with_sizes, 1e-6 * instant, noise, named, celsius)
     return _make({"at": format_instant(instant), **found.as_dict()})
 
@@ -149,7 +173,8 @@ def _make(content: Mapping[str, Any]) -> Prediction:
 
 def _noise_of(content: Mapping[str, Any]) -> EventNoise:
     noise, size = content["noise"], len(content["power"])
-    return EventNoise(np.reshape(noise["shared"], (-1, size)), np.array(noise["own"], dtype=float), noise["source"])
+    shared, own = np.reshape(noise["shared"], (-1, size)), np.array(noise["own"], dtype=float)
+    return EventNoise(shared, own, noise["source"], noise["common"])
 
 
 def write_prediction(content: Mapping[str, Any], path: Path, events: Floats | None = None) -> None:

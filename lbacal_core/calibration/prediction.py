@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lbacal_core.calibration.one_event import compare_paths
 from lbacal_core.calibration.singles import MIN_EVENTS
@@ -45,6 +46,8 @@ RINGS, SPOKES = 48, 64
 """Directions over which a pattern is integrated; the patterns that ship vary by less than six waves over the sky."""
 SMALLEST_SHARE = 1e-9
 """Share of the power from which it is said that causes add noise, or take it."""
+FEWEST_TO_COMPARE = 2
+NOT_SHARED = "paths share the gain of an event; the little of the sky's own noise that they share is not in it"
 
 
 @dataclass(frozen=True)
@@ -59,28 +62,84 @@ class EventNoise:
         Variance of each channel by itself, shape (freq,).
     source
         Where they come from, in words.
+    common
+        Share of the variance along the first shared vector, the gain of an event, that all paths of the station have in
+        common.
     """
 
     shared: Floats
     own: Floats
     source: str
+    common: float = 0.0
 
     @classmethod
     def expected(cls, frequency_mhz: Floats, blocks: int = 100) -> EventNoise:
         """The published gain of an event, and the radiometer equation: variance 1 / (width x duration)."""
-        own, gain = 1.0 / (guess_widths(frequency_mhz) * blocks * BLOCK_US), read_prior()["path_gain"].size
+        own, gain, common = (
+            1.0 / (guess_widths(frequency_mhz) * blocks * BLOCK_US),
+            *(read_prior()[name].size for name in ("path_gain", "event_gain")),
+        )
         said = f"gain of an event {gain:.0%} as published for LOFAR; radiometer equation for {blocks} blocks"
-        return cls(np.full((1, frequency_mhz.size), gain), own, said)
+        return cls(np.full((1, frequency_mhz.size), gain), own, said, (common / gain) ** 2)
 
     @classmethod
-    def measured(cls, curve: CalibrationCurve, spectra: Spectra, simulation: Simulation) -> EventNoise | None:
-        """That of the events that a path's curve was fitted to; None for fewer than a fit needs."""
+    def measured(
+        cls,
+        curve: CalibrationCurve,
+        spectra: Spectra,
+        simulation: Simulation,
+        others: Sequence[CalibrationCurve] = (),
+    ) -> EventNoise | None:
+        """That of the events that a path's curve was fitted to; None for fewer than a fit needs.
+
+        Parameters
+        ----------
+        others
+            Curves of other paths, by which is known what those of the station and dipole have in common.
+        """
+        beside = [
+            one for one in others if one.antenna not in (None, curve.antenna) and one.path[::2] == curve.path[::2]
+        ]
         for block in iterate_blocks(spectra):
-            for row, one, ratio in compare_paths(block, [curve], simulation):
-                if block.antennas[row] == curve.antenna and len(ratio) >= MIN_EVENTS:
-                    shared, own = _split(np.cov(ratio[:, one.has_value], rowvar=False), len(ratio))
-                    return cls(shared, own, f"measured in {len(ratio)} events of this path")
+            if (block.station, block.dipole) != (curve.station, curve.dipole):
+                continue
+            found = {
+                int(block.antennas[row]): (row, ratio) for row, _, ratio in compare_paths(block, [curve], simulation)
+            }
+            row, ratio = found.get(int(str(curve.antenna)), (-1, np.zeros((0, 0))))
+            if len(ratio) < MIN_EVENTS:
+                return None
+            at = curve.has_value
+            shared, own = _split(np.cov(ratio[:, at], rowvar=False), len(ratio))
+            noise = cls(shared, own, f"measured in {len(ratio)} events of this path")
+            known = [one for one in compare_paths(block, beside, simulation) if np.all(one[1].has_value[at])]
+            events = [(block.is_present[row], ratio[:, at]), *((block.is_present[k], r[:, at]) for k, _, r in known)]
+            return replace(noise, common=noise._share_with_others(events))
         return None
+
+    def _share_with_others(self, events: Sequence[tuple[NDArray[np.bool_], Floats]]) -> float:
+        """Mean correlation of the gains of events in one path, the first, with those in others.
+
+        Parameters
+        ----------
+        events
+            Which events a path has, shape (event,), and measured over predicted power in them.
+        """
+        if not len(self.shared) or len(events) < FEWEST_TO_COMPARE:
+            return 0.0
+        weight = self.shared[0] / np.sum(self.shared[0] ** 2)
+        gain = np.full((len(events), events[0][0].size), np.nan)
+        for row, (is_present, ratio) in zip(gain, events, strict=True):
+            row[is_present] = (ratio - ratio.mean(axis=0)) @ weight
+        both = np.isfinite(gain) & np.isfinite(gain[0])
+        # the noise of channels is another in every path: it is in the variances alone
+        variance = np.nanvar(gain, axis=1) - np.sum(weight**2 * self.own)
+        across = np.sum(np.where(both, gain * gain[0], 0.0), axis=1)[1:] / np.maximum(both.sum(axis=1)[1:], 1)
+        is_known = variance[1:] > 0
+        if not np.any(is_known) or not variance[0] > 0:
+            return 0.0
+        correlation = across[is_known] / np.sqrt(variance[1:][is_known] * variance[0])
+        return float(np.clip(correlation.mean(), 0.0, 1.0))
 
     def covariance(self) -> Floats:
         """Relative covariance, shape (freq, freq)."""
@@ -88,14 +147,22 @@ class EventNoise:
 
     def as_dict(self) -> dict[str, Any]:
         """JSON values."""
-        return {"shared": self.shared.tolist(), "own": self.own.tolist(), "source": self.source}
+        return {"shared": self.shared.tolist(), "own": self.own.tolist(), "common": self.common, "source": self.source}
 
-    def draw(self, count: int, rng: np.random.Generator) -> Floats:
+    def draw(self, count: int, rng: np.random.Generator, of_station: Floats | None = None) -> Floats:
         """Factors of mean 1 on the expected power of single events, shape (event, freq).
 
         The average of n independent samples of noise power follows a gamma distribution of shape n.
+
+        Parameters
+        ----------
+        of_station
+            Standard normal numbers that the paths of a station have in common, shape (event,); None for a path alone.
         """
-        gain = 1.0 + rng.standard_normal((count, len(self.shared))) @ self.shared
+        amount = rng.standard_normal((count, len(self.shared)))
+        if of_station is not None and len(self.shared):
+            amount[:, 0] = self.common**0.5 * of_station + (1.0 - self.common) ** 0.5 * amount[:, 0]
+        gain = 1.0 + amount @ self.shared
         own = np.maximum(self.own, 1e-12)
         return np.asarray(gain * rng.standard_gamma(1.0 / own, (count, own.size)) * own)
 
@@ -110,6 +177,7 @@ def _split(covariance: Floats, events: int) -> tuple[Floats, Floats]:
     typical = float(np.median(size))
     kept = size > typical * (1.0 + (size.size / events) ** 0.5) ** 2
     shared = np.sqrt(size[kept] - typical)[:, None] * axes[:, kept].T
+    shared *= np.where(shared.sum(axis=1) < 0, -1.0, 1.0)[:, None]  # more power is more gain in every path
     return shared[::-1], np.maximum(np.diag(covariance) - np.sum(shared**2, axis=0), 0.0)
 
 
@@ -204,7 +272,7 @@ class Prediction:
             "sefd_jy": self.sefd_jy.tolist(),
             "sefd_sigma": (self.sefd_jy * self.sefd_error).tolist(),
             "noise": self.noise.as_dict(),
-            "notes": list(self.notes),
+            "notes": [*self.notes, NOT_SHARED],
         }
 
 

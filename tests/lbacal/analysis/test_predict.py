@@ -25,7 +25,8 @@ def test_a_fit_predicts_its_paths(tmp_path: Path) -> None:
     found = lbacal.fit(spectra, "lofar-superterp")
     told = lbacal.predict(found, at=AT, station="CS002", antenna=1, dipole="X", temperature=285 * u.K)
     assert "measured in 150 events of this path" in repr(told)
-    assert "no cause of the model follows the temperature" in told.notes[-1]
+    assert "no cause of the model follows the temperature" in told.notes[-2]
+    assert "sky's own noise" in told.notes[-1]
     events = told.draw_events(2000)
     assert np.cov(events, rowvar=False)[25, 26] == pytest.approx(told.event_covariance[25, 26], rel=0.1)
     for suffix in ("json", "h5", "ecsv", "fits", "csv", "html", "png"):

@@ -15,6 +15,7 @@ from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.names import load_sky
 from lbacal_core.sky.power import compute_sky_power
 from lbacal_core.sky.sources import point_source_power
+from lbacal_core.spectra.blocks import split_into_blocks
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
@@ -116,3 +117,38 @@ def test_drawn_events_have_the_covariance_that_they_are_drawn_with() -> None:
     drawn = noise.draw(40_000, np.random.default_rng(2))
     np.testing.assert_allclose(drawn.mean(axis=0), 1.0, atol=1e-3)
     np.testing.assert_allclose(np.cov(drawn, rowvar=False), noise.covariance(), atol=6e-5)
+
+
+@pytest.mark.long
+def test_events_drawn_together_move_the_mean_of_a_station_as_held_out_events_do() -> None:
+    chain = load_instrument("lofar-superterp")
+    settings = TwinSettings(stations=("CS002",), antennas=8, events_per_year=800)
+    spectra = simulate_campaign(settings, chain, compute_sky_power(chain), np.random.default_rng(6)).spectra
+    is_fitted = np.isin(spectra.event_id, np.unique(spectra.event_id)[::2])
+    found = lbacal.fit(spectra.select(is_fitted), "lofar-superterp")
+    (held_out, _) = split_into_blocks(spectra.select(~is_fitted))
+    curves = {curve.path: curve for curve in found.report.curves}
+    paths = [("CS002", int(antenna), "X") for antenna in held_out.antennas]
+    sky = found.simulation.sky_at("CS002", "X", held_out.time_unix)
+    left = [held_out.power[k] / found.simulation.power(curves[path], sky) - 1.0 for k, path in enumerate(paths)]
+    names = ("station", "antenna", "dipole")
+    told = [lbacal.predict(found, at="2014-05-01", **dict(zip(names, path, strict=True))) for path in paths]
+    # 3 % of 5 % are the station's
+    assert [one.content["noise"]["common"] for one in told] == pytest.approx([0.36] * 8, abs=0.15)
+    drawn = [events / one.power - 1.0 for events, one in zip(lbacal.draw_together(told, 20_000), told, strict=True)]
+    alone = [one.draw_events(20_000, seed) / one.power - 1.0 for seed, one in enumerate(told)]
+    measured, together, apart = (np.var(np.mean(one, axis=(0, 2))) for one in (left, drawn, alone))
+    assert measured / together == pytest.approx(1.0, abs=0.25)  # 7 % by 400 events here, and as much in what is common
+    assert measured / apart > 2.0
+    pair, of_pair = (np.cov(np.mean(one[:2], axis=2))[0, 1] for one in (left, drawn))
+    assert pair == pytest.approx(of_pair, abs=4e-4)  # 0.03^2, and 1.5e-4 by 400 events
+
+
+def test_events_of_other_stations_are_drawn_apart() -> None:
+    here, there = (
+        lbacal.predict("lofar-superterp", at="2014-05-01", station=name, antenna=1, dipole="X")
+        for name in ("CS002", "CS003")
+    )
+    one, same, other = (events.mean(axis=1) for events in lbacal.draw_together([here, here, there], 20_000))
+    assert np.corrcoef(one, same)[0, 1] == pytest.approx(0.36, abs=0.04)  # 0.01 by so many, less the radiometer noise
+    assert np.corrcoef(one, other)[0, 1] == pytest.approx(0.0, abs=0.04)

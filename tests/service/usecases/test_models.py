@@ -114,7 +114,7 @@ def test_an_adopted_finding_changes_c_as_announced_and_withdrawal_restores_it_bi
     version = http.get(f"/v1/calibrations/{after['calibration']}").json()
     assert version["model"] == made["model"]
     assert "in antenna 2, " in notes_of_prediction(http)[0]
-    assert notes_of_prediction(http, antenna=1) == []
+    assert "cause" not in " ".join(notes_of_prediction(http, antenna=1))
     assert look_for_due_work(station) == []
     with_cause = drift_of_path(http)
     assert np.allclose(with_cause[:12], drifted[:12], atol=0.003), "against another reference"
