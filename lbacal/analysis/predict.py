@@ -22,7 +22,9 @@ from lbacal_core.calibration.prediction import EventNoise, predict_alone
 from lbacal_core.discovery.forward import predict as predict_path
 from lbacal_core.errors import UnknownNameError
 from lbacal_core.grids import Floats
+from lbacal_core.traces.noise import draw_noise
 
+LEAST_GAIN = 0.01
 SHOWN = 6
 """Frequencies of the printed table, from the lowest channel to the highest."""
 
@@ -70,11 +72,34 @@ def draw_together(predictions: Sequence[Prediction], count: int, seed: int = 1) 
     True
     """
     rng = np.random.default_rng(seed)
-    gains = {name: rng.standard_normal(count) for name in sorted({one.content["station"] for one in predictions})}
+    gains = _draw_stations(predictions, count, rng)
     return [
         np.asarray(one.power * _noise_of(one.content).draw(count, rng, gains[one.content["station"]]))
         for one in predictions
     ]
+
+
+def draw_traces(
+    predictions: Sequence[Prediction], samples: int, sample_rate_mhz: float = 200.0, rng: np.random.Generator | int = 1
+) -> list[Floats]:
+    """Noise of one event in several paths in the time domain, shape (sample,) for each of them.
+
+    In ADC units; in V across 50 Ohm, in front of the converter, where the prediction is of an instrument alone. The
+    gain of the event is drawn as in `draw_together`. `lbacal_core.traces.noise.draw_noise` says the convention.
+    """
+    rng = np.random.default_rng(rng)
+    gains, traces = _draw_stations(predictions, 1, rng), []
+    for one in predictions:
+        gain = _noise_of(one.content).draw_gains(1, rng, gains[one.content["station"]])
+        frequency = np.array(one.content["frequency_mhz"], dtype=float)
+        # a gain of 5 % is never as far off as this, one of an oscillating path may be
+        traces.append(draw_noise(frequency, one.power * np.maximum(gain, LEAST_GAIN), samples, sample_rate_mhz, rng)[0])
+    return traces
+
+
+def _draw_stations(predictions: Sequence[Prediction], count: int, rng: np.random.Generator) -> dict[str, Floats]:
+    """Standard normal numbers of events that the paths of a station have in common, by its name."""
+    return {name: rng.standard_normal(count) for name in sorted({one.content["station"] for one in predictions})}
 
 
 def predict(

@@ -159,12 +159,15 @@ class EventNoise:
         of_station
             Standard normal numbers that the paths of a station have in common, shape (event,); None for a path alone.
         """
+        own, gain = np.maximum(self.own, 1e-12), self.draw_gains(count, rng, of_station)
+        return np.asarray(gain * rng.standard_gamma(1.0 / own, (count, own.size)) * own)
+
+    def draw_gains(self, count: int, rng: np.random.Generator, of_station: Floats | None = None) -> Floats:
+        """What events share along frequency alone, as `draw`: the rest is the noise of a trace itself."""
         amount = rng.standard_normal((count, len(self.shared)))
         if of_station is not None and len(self.shared):
             amount[:, 0] = self.common**0.5 * of_station + (1.0 - self.common) ** 0.5 * amount[:, 0]
-        gain = 1.0 + amount @ self.shared
-        own = np.maximum(self.own, 1e-12)
-        return np.asarray(gain * rng.standard_gamma(1.0 / own, (count, own.size)) * own)
+        return np.asarray(1.0 + amount @ self.shared)
 
 
 def _split(covariance: Floats, events: int) -> tuple[Floats, Floats]:
