@@ -381,11 +381,18 @@ def predict_alone(simulation: Simulation, station: str, antenna: int, dipole: st
 def _sky_errors(curve: CalibrationCurve, simulation: Simulation, lst_hours: Floats) -> Iterator[Floats]:
     """For each term of the sky what of dP_sky(t) is no straight line in P_sky, shape (freq,), in the unit of P_sky."""
     dipole, table = str(curve.dipole), simulation.sky_power.of_station(curve.station)
-    for term in simulation.changes():
-        sky = table.at(dipole, term.lst_hours)
-        wrong, about = sky * term.d_ln_p[dipole], sky - sky.mean(axis=0)
-        line = np.sum(about * wrong, axis=0) / np.maximum(np.sum(about**2, axis=0), np.finfo(float).tiny)
-        yield read_at(wrong - wrong.mean(axis=0) - line * about, lst_hours - term.lst_hours[0])[0]
+
+    def list_errors() -> list[tuple[Floats, float]]:
+        found = []
+        for term in simulation.changes():
+            sky = table.at(dipole, term.lst_hours)
+            wrong, about = sky * term.d_ln_p[dipole], sky - sky.mean(axis=0)
+            line = np.sum(about * wrong, axis=0) / np.maximum(np.sum(about**2, axis=0), np.finfo(float).tiny)
+            found.append((wrong - wrong.mean(axis=0) - line * about, float(term.lst_hours[0])))
+        return found
+
+    for error, first in simulation.made.get(("sky errors", curve.station, dipole), list_errors):
+        yield read_at(error, lst_hours - first)[0]
 
 
 def _per_kelvin(simulation: Simulation, dipole: str) -> Floats | None:
