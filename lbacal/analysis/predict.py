@@ -86,6 +86,13 @@ def draw_traces(
 
     In ADC units; in V across 50 Ohm, in front of the converter, where the prediction is of an instrument alone. The
     gain of the event is drawn as in `draw_together`. `lbacal_core.traces.noise.draw_noise` says the convention.
+
+    Examples
+    --------
+    >>> import lbacal
+    >>> seen = lbacal.predict("lofar-superterp", at="2014-05-01", station="CS002", antenna=1, dipole="X")
+    >>> [trace.shape for trace in lbacal.draw_traces([seen], samples=4096)]
+    [(4096,)]
     """
     rng = np.random.default_rng(rng)
     gains, traces = _draw_stations(predictions, 1, rng), []

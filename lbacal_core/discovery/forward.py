@@ -5,6 +5,7 @@ The paths are laid out as a station, and the causes act on the chains of their c
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import fields, replace
 
@@ -71,8 +72,8 @@ def divide_out(spectra: Spectra, curves: Sequence[CalibrationCurve], simulation:
         own = {(one.antenna, one.dipole): one for one in curves if one.c is not None and one.station == name}
         keys = list(zip(spectra.antenna.tolist(), spectra.dipole.tolist(), spectra.station == name, strict=True))
         rows = np.array([here and (antenna, dipole) in own for antenna, dipole, here in keys], dtype=bool)
-        counts = [key for key, is_own in zip(keys, rows, strict=True) if is_own]
-        if max(map(counts.count, set(counts)), default=0) < MIN_EVENTS:
+        counts = Counter(key for key, is_own in zip(keys, rows, strict=True) if is_own)
+        if max(counts.values(), default=0) < MIN_EVENTS:
             continue
         station, named, terms = _lay_out(list(own.values()), simulation, spectra.select(rows))
         ratio = power_ratio(station, terms, [one for _, one in named])
