@@ -33,7 +33,7 @@ _MODULES = {
     "analysis.investigate": ("Finding", "Investigation", "investigate"),
     "analysis.life": ("Life", "life"),
     "analysis.lst_curve": ("LstComparison", "lst_curve"),
-    "analysis.predict": ("Prediction", "predict"),
+    "analysis.predict": ("Prediction", "draw_together", "draw_traces", "predict"),
 }
 ANALYSIS = {name: module for module, names in _MODULES.items() for name in names}
 """What needs the extra `fit`, by its name, with the module that is imported when it is asked for."""

@@ -1,20 +1,23 @@
-"""A module for NuRadioReco pipelines that applies the calibration in effect of every channel's own path.
+"""Modules for NuRadioReco pipelines: the calibration in effect of every channel's own path, and the noise that it sees.
 
-It stands in the place of NuRadioReco's stationGalacticCalibrator, which has one curve for all channels and scales each
-to a mean Galaxy. Nothing of NuRadioReco is imported: events, stations, channels and the detector are used as its
-modules do (version 3.1.0).
+The first stands in the place of NuRadioReco's stationGalacticCalibrator, which has one curve for all channels and
+scales each to a mean Galaxy; the second in that of one recorded trace for all channels and hours. Nothing of
+NuRadioReco is imported: events, stations, channels and the detector are used as its modules do (version 3.1.0).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from lbacal.client import Client
 from lbacal.voltages import calibrate_trace
 from lbacal_core.curves.curves import OK
 from lbacal_core.errors import BadInputError
+from lbacal_core.grids import Floats
 
 if TYPE_CHECKING:
     from astropy.table import QTable
@@ -41,6 +44,18 @@ def path_of_lofar(station: Any, channel: Any, detector: Any) -> Path:
             return f"CS{number:03d}", receiver // 2, letter
     expected = " or ".join(f"{arm:g} deg ({letter})" for letter, arm in ARMS_OF_LOFAR.items())
     raise BadInputError(f"channel {channel.get_id()}", f"an arm at {expected}", f"{azimuth:g} deg")
+
+
+def _channels_of(station: Any, detector: Any, path_of: Callable[[Any, Any, Any], Path]) -> dict[Path, Any]:
+    return {path_of(station, channel, detector): channel for channel in station.iter_channels()}
+
+
+def _clock_of(channels: Iterable[Any]) -> tuple[float, int]:
+    """Sampling rate, GHz, and number of samples of all channels."""
+    found = {(channel.get_sampling_rate(), len(channel.get_trace())) for channel in channels}
+    if len(found) != 1:
+        raise BadInputError("channels of a station", "one sampling rate and length", f"{len(found)} of them")
+    return found.pop()
 
 
 class EffectiveCalibrator:
@@ -80,7 +95,7 @@ class EffectiveCalibrator:
         """
         said = {}
         for station in event.get_stations():
-            channels = {self._path_of(station, channel, detector): channel for channel in station.iter_channels()}
+            channels = _channels_of(station, detector, self._path_of)
             names = {name for name, _, _ in channels}
             found = {name: self._client.effective(name, at=station.get_station_time(), **self._known) for name in names}
             for path, channel in channels.items():
@@ -98,3 +113,70 @@ class EffectiveCalibrator:
     def end(self) -> None:
         """Close the connection."""
         self._client.close()
+
+
+class NoiseAdder:
+    """Adds what the Galaxy and the electronics give every channel at the time of its station.
+
+    Each channel gets noise of the spectrum that its path has then, ADC units; an event's gain is drawn, in part common
+    to the channels of a station.
+
+    Parameters
+    ----------
+    predict
+        `lbacal.predict`, which asks the server of `LBACAL_URL`, or ``partial(lbacal.predict, found)`` of a fit.
+    client
+        Whom to ask for C where noise is wanted in V at the antenna's output, as simulated signals are; None for ADC
+        units.
+    path_of
+        Station, antenna and dipole of (station, channel, detector).
+    seed
+        Seed of the noise of all events that follow.
+    temperature
+        Outside temperature of (event), deg C; None where it is not known.
+    """
+
+    def __init__(
+        self,
+        predict: Callable[..., Any] | None = None,
+        client: Client | None = None,
+        path_of: Callable[[Any, Any, Any], Path] = path_of_lofar,
+        seed: int = 1,
+        temperature: Callable[[Any], float | None] = lambda _: None,
+    ) -> None:
+        from lbacal.analysis import predict as forward
+
+        self._forward, self._predict = forward, predict or forward.predict
+        self._client, self._path_of, self._temperature = client, path_of, temperature
+        self._rng = np.random.default_rng(seed)
+
+    def begin(self) -> None:
+        """Nothing to prepare."""
+
+    def run(self, event: Any, detector: Any) -> None:
+        """Add noise to the traces of all channels of an event; those of a station have the same length and rate.
+
+        Raises
+        ------
+        RefusedError
+            Where no calibration is in effect for a path: no channel is left without noise unsaid.
+        """
+        for station in event.get_stations():
+            at, channels = station.get_station_time(), _channels_of(station, detector, self._path_of)
+            asked = {"at": at, "temperature": self._temperature(event)}
+            told = [self._predict(station=name, antenna=k, dipole=letter, **asked) for name, k, letter in channels]
+            rate, samples = _clock_of(channels.values())
+            drawn = self._forward.draw_traces(told, samples, rate * MHZ_OF_THEIR_UNIT, self._rng)
+            for (path, channel), noise in zip(channels.items(), drawn, strict=True):
+                channel.set_trace(channel.get_trace() + self._in_volts(noise, rate, path, at), rate)
+
+    def _in_volts(self, noise: Floats, rate: float, path: Path, at: Any) -> Floats:
+        if self._client is None:
+            return noise
+        rows = self._client.effective(path[0], at=at).of_path(*path)
+        return calibrate_trace(noise, rate * MHZ_OF_THEIR_UNIT, rows).samples
+
+    def end(self) -> None:
+        """Close the connection."""
+        if self._client is not None:
+            self._client.close()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -24,9 +24,11 @@ from lbacal_core.audit.audit import audit_quickly
 from lbacal_core.calibration.left_open import widen_by_open_terms
 from lbacal_core.calibration.one_event import ErrorOfC, measure_error
 from lbacal_core.calibration.paths import LEAST_COVERAGE
+from lbacal_core.causes.model import Model
 from lbacal_core.curves.curves import CONVERGED, MISFIT, Anomalies, CalibrationCurve, FitReport
 from lbacal_core.curves.galcal import describe_made_with
 from lbacal_core.curves.reference_chain import ReferenceChain
+from lbacal_core.discovery.forward import divide_out
 from lbacal_core.errors import BadInputError, UnknownNameError
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.pipeline import calibrate
@@ -68,6 +70,19 @@ class Calibration(Result):
     def converged(self) -> list[CalibrationCurve]:
         """The curves that converged and are no misfit."""
         return [curve for curve in self.report.curves if curve.status == CONVERGED]
+
+    @cached_property
+    def with_sizes(self) -> Simulation:
+        """The simulation with the adopted causes that act in these spectra, at the sizes found in them."""
+        sizes = [(one, one["size"]["value"], one["size"]["sigma"]) for one in self.report.causes]
+        return self.simulation.with_causes(
+            Model.from_dicts({**one, "size": value, "sigma": sigma} for one, value, sigma in sizes)
+        )
+
+    @cached_property
+    def without_causes(self) -> Spectra:
+        """The spectra with what adopted causes do to paths that have a curve divided out."""
+        return divide_out(self.spectra, self.report.curves, self.with_sizes) if self.report.causes else self.spectra
 
     def __getitem__(self, key: Any) -> CurveTable:
         """C of one curve: (station, antenna, dipole), (station, dipole) or (dipole,) by what was fitted."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -18,10 +18,13 @@ from lbacal.analysis.instrument import Described, simulation_of
 from lbacal.analysis.result import Result
 from lbacal.client import Client, format_time
 from lbacal.instants import format_instant, parse_instant
-from lbacal_core.calibration.prediction import EventNoise, predict_alone, predict_path
+from lbacal_core.calibration.prediction import EventNoise, predict_alone
+from lbacal_core.discovery.forward import predict as predict_path
 from lbacal_core.errors import UnknownNameError
 from lbacal_core.grids import Floats
+from lbacal_core.traces.noise import draw_noise
 
+LEAST_GAIN = 0.01
 SHOWN = 6
 """Frequencies of the printed table, from the lowest channel to the highest."""
 
@@ -48,10 +51,62 @@ class Prediction(Result):
     def draw_events(self, count: int, seed: int = 1) -> Floats:
         """Recorded power of single events, shape (event, freq), with the right spectrum and correlation along it.
 
-        Events are independent of each other, and of those of other antennas, which in a station share a part of the
-        gain and a little of the sky's noise.
+        Events are independent of each other, and of those of other antennas: `draw_together` draws what antennas share.
         """
-        return np.asarray(self.power * _noise_of(self.content).draw(count, np.random.default_rng(seed)))
+        return draw_together([self], count, seed)[0]
+
+
+def draw_together(predictions: Sequence[Prediction], count: int, seed: int = 1) -> list[Floats]:
+    """Recorded power of the same events in several paths, shape (event, freq) for each of them.
+
+    The gain of an event is in part common to the paths of a station, as measured or as published. A little of the
+    sky's own noise, which near antennas share too, is not.
+
+    Examples
+    --------
+    >>> import lbacal
+    >>> at = {"station": "CS002", "dipole": "X", "at": "2014-05-01"}
+    >>> paths = [lbacal.predict("lofar-superterp", antenna=antenna, **at) for antenna in (1, 2)]
+    >>> one, other = lbacal.draw_together(paths, 1000)
+    >>> bool(np.corrcoef(one.mean(axis=1), other.mean(axis=1))[0, 1] > 0.2)
+    True
+    """
+    rng = np.random.default_rng(seed)
+    gains = _draw_stations(predictions, count, rng)
+    return [
+        np.asarray(one.power * _noise_of(one.content).draw(count, rng, gains[one.content["station"]]))
+        for one in predictions
+    ]
+
+
+def draw_traces(
+    predictions: Sequence[Prediction], samples: int, sample_rate_mhz: float = 200.0, rng: np.random.Generator | int = 1
+) -> list[Floats]:
+    """Noise of one event in several paths in the time domain, shape (sample,) for each of them.
+
+    In ADC units; in V across 50 Ohm, in front of the converter, where the prediction is of an instrument alone. The
+    gain of the event is drawn as in `draw_together`. `lbacal_core.traces.noise.draw_noise` says the convention.
+
+    Examples
+    --------
+    >>> import lbacal
+    >>> seen = lbacal.predict("lofar-superterp", at="2014-05-01", station="CS002", antenna=1, dipole="X")
+    >>> [trace.shape for trace in lbacal.draw_traces([seen], samples=4096)]
+    [(4096,)]
+    """
+    rng = np.random.default_rng(rng)
+    gains, traces = _draw_stations(predictions, 1, rng), []
+    for one in predictions:
+        gain = _noise_of(one.content).draw_gains(1, rng, gains[one.content["station"]])
+        frequency = np.array(one.content["frequency_mhz"], dtype=float)
+        # a gain of 5 % is never as far off as this, one of an oscillating path may be
+        traces.append(draw_noise(frequency, one.power * np.maximum(gain, LEAST_GAIN), samples, sample_rate_mhz, rng)[0])
+    return traces
+
+
+def _draw_stations(predictions: Sequence[Prediction], count: int, rng: np.random.Generator) -> dict[str, Floats]:
+    """Standard normal numbers of events that the paths of a station have in common, by its name."""
+    return {name: rng.standard_normal(count) for name in sorted({one.content["station"] for one in predictions})}
 
 
 def predict(
@@ -73,7 +128,7 @@ def predict(
     at
         An astropy Time, a datetime (naive = UTC) or ISO 8601 text.
     temperature
-        Outside temperature, deg C or a Quantity.
+        Outside temperature, deg C or a Quantity, for adopted causes that follow it.
 
     Examples
     --------
@@ -103,8 +158,10 @@ def predict(
         wanted, names = f"{station} antenna {antenna} {dipole}", [one.name for one in curves.values()]
         raise UnknownNameError("curve", wanted, names[:SHOWN_NAMES])
     named = None if curve.covariance is None else source.report.budgets.get(str(curve.covariance.budget))
-    noise = None if curve.c is None else EventNoise.measured(curve, source.spectra, source.simulation)
-    found = predict_path(curve, source.simulation, 1e-6 * instant, noise, named, celsius)
+    noise = None
+    if curve.c is not None:
+        noise = EventNoise.measured(curve, source.without_causes, source.simulation, source.report.curves)
+    found = predict_path(curve, source.with_sizes, 1e-6 * instant, noise, named, celsius)
     return _make({"at": format_instant(instant), **found.as_dict()})
 
 
@@ -148,7 +205,8 @@ def _make(content: Mapping[str, Any]) -> Prediction:
 
 def _noise_of(content: Mapping[str, Any]) -> EventNoise:
     noise, size = content["noise"], len(content["power"])
-    return EventNoise(np.reshape(noise["shared"], (-1, size)), np.array(noise["own"], dtype=float), noise["source"])
+    shared, own = np.reshape(noise["shared"], (-1, size)), np.array(noise["own"], dtype=float)
+    return EventNoise(shared, own, noise["source"], noise["common"])
 
 
 def write_prediction(content: Mapping[str, Any], path: Path, events: Floats | None = None) -> None:

@@ -8,7 +8,8 @@ much, the electronics get too little. With the mean P_sky over the sidereal day 
 
 for every error of C that the noise of the data makes. A sky that is wrong by dP_sky(t) moves s and N of the fit as far
 as dP_sky is a straight line in P_sky; what is left, dP_sky less that line, is wrong in P. A gain that one path has
-beside its reference chain moves all that is in front of it: d ln P = -2 d ln C s (P_sky + N_front) / P.
+beside its reference chain moves all that is in front of it: d ln P = -2 d ln C s (P_sky + N_front) / P. An error of
+the size of an adopted cause moves what the cause does at the instant.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lbacal_core.calibration.one_event import compare_paths
 from lbacal_core.calibration.singles import MIN_EVENTS
@@ -26,9 +28,10 @@ from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.data.prior import read_prior
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, guess_widths
+from lbacal_core.instrument.chain import ChainTerms
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.instrument.power_unit import RESISTANCE_OHM, power_per_kelvin_sr
-from lbacal_core.simulation.simulation import Simulation, noise_at_input, noise_of
+from lbacal_core.simulation.simulation import Simulation, noise_at_input, noise_of, terms_of
 from lbacal_core.sky.antenna_of import antenna_of
 from lbacal_core.sky.sources import point_source_power, response_towards
 from lbacal_core.sky.table import read_at
@@ -41,6 +44,10 @@ BLOCK_US = BLOCK_SAMPLES / 200.0
 """Duration of a block at 200 MHz, microseconds."""
 RINGS, SPOKES = 48, 64
 """Directions over which a pattern is integrated; the patterns that ship vary by less than six waves over the sky."""
+SMALLEST_SHARE = 1e-9
+"""Share of the power from which it is said that causes add noise, or take it."""
+FEWEST_TO_COMPARE = 2
+NOT_SHARED = "paths share the gain of an event; the little of the sky's own noise that they share is not in it"
 
 
 @dataclass(frozen=True)
@@ -55,28 +62,84 @@ class EventNoise:
         Variance of each channel by itself, shape (freq,).
     source
         Where they come from, in words.
+    common
+        Share of the variance along the first shared vector, the gain of an event, that all paths of the station have in
+        common.
     """
 
     shared: Floats
     own: Floats
     source: str
+    common: float = 0.0
 
     @classmethod
     def expected(cls, frequency_mhz: Floats, blocks: int = 100) -> EventNoise:
         """The published gain of an event, and the radiometer equation: variance 1 / (width x duration)."""
-        own, gain = 1.0 / (guess_widths(frequency_mhz) * blocks * BLOCK_US), read_prior()["path_gain"].size
+        own, gain, common = (
+            1.0 / (guess_widths(frequency_mhz) * blocks * BLOCK_US),
+            *(read_prior()[name].size for name in ("path_gain", "event_gain")),
+        )
         said = f"gain of an event {gain:.0%} as published for LOFAR; radiometer equation for {blocks} blocks"
-        return cls(np.full((1, frequency_mhz.size), gain), own, said)
+        return cls(np.full((1, frequency_mhz.size), gain), own, said, (common / gain) ** 2)
 
     @classmethod
-    def measured(cls, curve: CalibrationCurve, spectra: Spectra, simulation: Simulation) -> EventNoise | None:
-        """That of the events that a path's curve was fitted to; None for fewer than a fit needs."""
+    def measured(
+        cls,
+        curve: CalibrationCurve,
+        spectra: Spectra,
+        simulation: Simulation,
+        others: Sequence[CalibrationCurve] = (),
+    ) -> EventNoise | None:
+        """That of the events that a path's curve was fitted to; None for fewer than a fit needs.
+
+        Parameters
+        ----------
+        others
+            Curves of other paths, by which is known what those of the station and dipole have in common.
+        """
+        beside = [
+            one for one in others if one.antenna not in (None, curve.antenna) and one.path[::2] == curve.path[::2]
+        ]
         for block in iterate_blocks(spectra):
-            for row, one, ratio in compare_paths(block, [curve], simulation):
-                if block.antennas[row] == curve.antenna and len(ratio) >= MIN_EVENTS:
-                    shared, own = _split(np.cov(ratio[:, one.has_value], rowvar=False), len(ratio))
-                    return cls(shared, own, f"measured in {len(ratio)} events of this path")
+            if (block.station, block.dipole) != (curve.station, curve.dipole):
+                continue
+            found = {
+                int(block.antennas[row]): (row, ratio) for row, _, ratio in compare_paths(block, [curve], simulation)
+            }
+            row, ratio = found.get(int(str(curve.antenna)), (-1, np.zeros((0, 0))))
+            if len(ratio) < MIN_EVENTS:
+                return None
+            at = curve.has_value
+            shared, own = _split(np.cov(ratio[:, at], rowvar=False), len(ratio))
+            noise = cls(shared, own, f"measured in {len(ratio)} events of this path")
+            known = [one for one in compare_paths(block, beside, simulation) if np.all(one[1].has_value[at])]
+            events = [(block.is_present[row], ratio[:, at]), *((block.is_present[k], r[:, at]) for k, _, r in known)]
+            return replace(noise, common=noise._share_with_others(events))
         return None
+
+    def _share_with_others(self, events: Sequence[tuple[NDArray[np.bool_], Floats]]) -> float:
+        """Mean correlation of the gains of events in one path, the first, with those in others.
+
+        Parameters
+        ----------
+        events
+            Which events a path has, shape (event,), and measured over predicted power in them.
+        """
+        if not len(self.shared) or len(events) < FEWEST_TO_COMPARE:
+            return 0.0
+        weight = self.shared[0] / np.sum(self.shared[0] ** 2)
+        gain = np.full((len(events), events[0][0].size), np.nan)
+        for row, (is_present, ratio) in zip(gain, events, strict=True):
+            row[is_present] = (ratio - ratio.mean(axis=0)) @ weight
+        both = np.isfinite(gain) & np.isfinite(gain[0])
+        # the noise of channels is another in every path: it is in the variances alone
+        variance = np.nanvar(gain, axis=1) - np.sum(weight**2 * self.own)
+        across = np.sum(np.where(both, gain * gain[0], 0.0), axis=1)[1:] / np.maximum(both.sum(axis=1)[1:], 1)
+        is_known = variance[1:] > 0
+        if not np.any(is_known) or not variance[0] > 0:
+            return 0.0
+        correlation = across[is_known] / np.sqrt(variance[1:][is_known] * variance[0])
+        return float(np.clip(correlation.mean(), 0.0, 1.0))
 
     def covariance(self) -> Floats:
         """Relative covariance, shape (freq, freq)."""
@@ -84,16 +147,27 @@ class EventNoise:
 
     def as_dict(self) -> dict[str, Any]:
         """JSON values."""
-        return {"shared": self.shared.tolist(), "own": self.own.tolist(), "source": self.source}
+        return {"shared": self.shared.tolist(), "own": self.own.tolist(), "common": self.common, "source": self.source}
 
-    def draw(self, count: int, rng: np.random.Generator) -> Floats:
+    def draw(self, count: int, rng: np.random.Generator, of_station: Floats | None = None) -> Floats:
         """Factors of mean 1 on the expected power of single events, shape (event, freq).
 
         The average of n independent samples of noise power follows a gamma distribution of shape n.
+
+        Parameters
+        ----------
+        of_station
+            Standard normal numbers that the paths of a station have in common, shape (event,); None for a path alone.
         """
-        gain = 1.0 + rng.standard_normal((count, len(self.shared))) @ self.shared
-        own = np.maximum(self.own, 1e-12)
+        own, gain = np.maximum(self.own, 1e-12), self.draw_gains(count, rng, of_station)
         return np.asarray(gain * rng.standard_gamma(1.0 / own, (count, own.size)) * own)
+
+    def draw_gains(self, count: int, rng: np.random.Generator, of_station: Floats | None = None) -> Floats:
+        """What events share along frequency alone, as `draw`: the rest is the noise of a trace itself."""
+        amount = rng.standard_normal((count, len(self.shared)))
+        if of_station is not None and len(self.shared):
+            amount[:, 0] = self.common**0.5 * of_station + (1.0 - self.common) ** 0.5 * amount[:, 0]
+        return np.asarray(1.0 + amount @ self.shared)
 
 
 def _split(covariance: Floats, events: int) -> tuple[Floats, Floats]:
@@ -106,7 +180,27 @@ def _split(covariance: Floats, events: int) -> tuple[Floats, Floats]:
     typical = float(np.median(size))
     kept = size > typical * (1.0 + (size.size / events) ** 0.5) ** 2
     shared = np.sqrt(size[kept] - typical)[:, None] * axes[:, kept].T
+    shared *= np.where(shared.sum(axis=1) < 0, -1.0, 1.0)[:, None]  # more power is more gain in every path
     return shared[::-1], np.maximum(np.diag(covariance) - np.sum(shared**2, axis=0), 0.0)
+
+
+@dataclass(frozen=True)
+class Acting:
+    """What adopted causes make of the chain of a path at an instant (`discovery.forward`).
+
+    Attributes
+    ----------
+    terms
+        The chain with them, shape (freq,) each.
+    moved
+        The same with one size after the other moved by its standard deviation.
+    notes
+        What acts, and what was not known of the instant, a sentence each.
+    """
+
+    terms: ChainTerms
+    moved: Sequence[ChainTerms] = ()
+    notes: Sequence[str] = ()
 
 
 @dataclass(frozen=True)
@@ -181,7 +275,7 @@ class Prediction:
             "sefd_jy": self.sefd_jy.tolist(),
             "sefd_sigma": (self.sefd_jy * self.sefd_error).tolist(),
             "noise": self.noise.as_dict(),
-            "notes": list(self.notes),
+            "notes": [*self.notes, NOT_SHARED],
         }
 
 
@@ -191,11 +285,11 @@ def predict_path(
     time_unix: float,
     noise: EventNoise | None = None,
     budget: Budget | None = None,
-    temperature_c: float | None = None,
+    acting: Acting | None = None,
     *,
     is_own: bool = True,
 ) -> Prediction:
-    """What a calibrated path should record at an instant.
+    """What a calibrated path should record at an instant; with adopted causes ask `discovery.forward.predict`.
 
     Parameters
     ----------
@@ -203,6 +297,8 @@ def predict_path(
         How its events scatter; as published, averaged over 100 blocks, unless given.
     budget
         The systematic terms that the curve's covariance names.
+    acting
+        What adopted causes make of its chain then; None where there are none.
     is_own
         Whether the curve was fitted to the path itself, and is not that of its station or of the array.
     """
@@ -210,17 +306,24 @@ def predict_path(
         raise BadInputError(curve.name, "a curve of one polarisation that converged", curve.status)
     at, instrument, table = curve.has_value, simulation.instrument, simulation.sky_power.of_station(curve.station)
     lst = simulation.sidereal_time(curve.station, np.array([time_unix]))
-    sky = table.at(curve.dipole, lst)[0][at]
-    terms, of_chain = noise_at_input(curve, instrument), noise_of(curve, instrument)
-    contributions = {"sky": sky, **{name: one[at] for name, one in terms.items()}}
-    total = np.sum(list(contributions.values()), axis=0)
-    behind = [contributions[name.removeprefix("n_")] for name in of_chain.names[len(of_chain.front) :]]
+    plain = terms_of(curve, instrument, table.at(curve.dipole, lst)[0])
+    acting = Acting(plain) if acting is None else acting
+    chain, of_chain = acting.terms, noise_of(curve, instrument)
+    power, sky = chain.power()[at], chain.sky[at]
+    total = power / chain.front[at]
+    contributions = {"sky": sky, **{name: one[at] for name, one in noise_at_input(curve, instrument).items()}}
+    behind = [name.removeprefix("n_") for name in of_chain.names[len(of_chain.front) :]]
+    contributions |= {name: contributions[name] * (plain.front / chain.front)[at] for name in behind}
+    rest = total - np.sum(list(contributions.values()), axis=0)
+    if np.any(np.abs(rest) > SMALLEST_SHARE * total):
+        contributions["causes"] = rest
     # what an error of ln C moves: the sky about its mean, or all that one gain in front multiplies
-    about, in_front = sky - table.power[curve.dipole].mean(axis=0)[at], total - np.sum(behind, axis=0)
+    about, in_front = sky - table.power[curve.dipole].mean(axis=0)[at], (chain.sky + chain.n_lna)[at]
     by_noise = [error[at] * about for error in statistical_errors(curve)]
     own: Sequence[Floats] = [] if curve.covariance is None else [*np.nan_to_num(curve.covariance.own[:, at])]
     by_gain = [error * (about if is_own else in_front) for error in own]
     by_sky = [-0.5 * error[at] for error in _sky_errors(curve, simulation, lst)]
+    by_size = [(one.power()[at] / power, one.front[at] / chain.front[at]) for one in acting.moved]
     # SEFD goes with C^2/G_ant, in which the antenna gain cancels
     of_gain = None if budget is None else replace(budget, terms=[one for one in budget.terms if not one.is_of_gain])
     of_c = [error[at] for error in (*statistical_errors(curve), *systematic_errors(curve, of_gain))]
@@ -229,14 +332,20 @@ def predict_path(
         name={"station": curve.station, "antenna": curve.antenna, "dipole": curve.dipole},
         lst_hours=float(lst[0]),
         frequency_mhz=curve.frequency_mhz[at],
-        power=(instrument.antenna_gain / curve.c**2)[at] * total,
-        errors=np.reshape([-2.0 * one / total for one in (*by_noise, *by_gain, *by_sky)], (-1, sky.size)),
+        power=power,
+        errors=np.reshape(
+            [
+                *(-2.0 * one / total for one in (*by_noise, *by_gain, *by_sky)),
+                *(np.log(moved) for moved, _ in by_size),
+            ],
+            (-1, sky.size),
+        ),
         contributions=contributions,
         per_kelvin=None if kelvin is None else kelvin[at],
-        sefd_error=2.0 * np.linalg.norm(of_c, axis=0),
+        sefd_error=np.linalg.norm([*(2.0 * one for one in of_c), *(np.log(p / s) for p, s in by_size)], axis=0),
         noise=noise or EventNoise.expected(curve.frequency_mhz[at]),
         is_calibrated=True,
-        notes=_tell_causes(simulation, temperature_c),
+        notes=acting.notes,
     )
 
 
@@ -269,22 +378,21 @@ def predict_alone(simulation: Simulation, station: str, antenna: int, dipole: st
     )
 
 
-def _tell_causes(simulation: Simulation, temperature_c: float | None) -> list[str]:
-    """What of temperature and adopted causes is not in a prediction."""
-    causes = ", ".join(one.cause for one in simulation.causes.causes)
-    if causes:
-        return [f"what the adopted causes do at this instant is not in it: {causes}"]
-    return [] if temperature_c is None else ["no cause of the model follows the temperature: it changes nothing"]
-
-
 def _sky_errors(curve: CalibrationCurve, simulation: Simulation, lst_hours: Floats) -> Iterator[Floats]:
     """For each term of the sky what of dP_sky(t) is no straight line in P_sky, shape (freq,), in the unit of P_sky."""
     dipole, table = str(curve.dipole), simulation.sky_power.of_station(curve.station)
-    for term in simulation.changes():
-        sky = table.at(dipole, term.lst_hours)
-        wrong, about = sky * term.d_ln_p[dipole], sky - sky.mean(axis=0)
-        line = np.sum(about * wrong, axis=0) / np.maximum(np.sum(about**2, axis=0), np.finfo(float).tiny)
-        yield read_at(wrong - wrong.mean(axis=0) - line * about, lst_hours - term.lst_hours[0])[0]
+
+    def list_errors() -> list[tuple[Floats, float]]:
+        found = []
+        for term in simulation.changes():
+            sky = table.at(dipole, term.lst_hours)
+            wrong, about = sky * term.d_ln_p[dipole], sky - sky.mean(axis=0)
+            line = np.sum(about * wrong, axis=0) / np.maximum(np.sum(about**2, axis=0), np.finfo(float).tiny)
+            found.append((wrong - wrong.mean(axis=0) - line * about, float(term.lst_hours[0])))
+        return found
+
+    for error, first in simulation.made.get(("sky errors", curve.station, dipole), list_errors):
+        yield read_at(error, lst_hours - first)[0]
 
 
 def _per_kelvin(simulation: Simulation, dipole: str) -> Floats | None:

@@ -8,7 +8,7 @@ again with every calibration; the text keeps the size as it was adopted, and no 
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cached_property
@@ -179,13 +179,18 @@ class Model:
         return hash_content(self._content)
 
     @classmethod
+    def from_dicts(cls, causes: Iterable[Mapping[str, Any]]) -> Model:
+        """A model of causes as `AdoptedCause.as_dict` gives them."""
+        return cls(tuple(_parse_cause(one) for one in causes))
+
+    @classmethod
     def from_text(cls, text: str) -> Model:
         """Read a text as `to_text` writes it."""
         try:
             content = json.loads(text)
             if content["format"] != FORMAT:
                 raise BadInputError("model: format", FORMAT, repr(content["format"]))
-            return cls(tuple(_parse_cause(one) for one in content["causes"]))
+            return cls.from_dicts(content["causes"])
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise BadInputError("model", f"the fields of {FORMAT}", f"{type(error).__name__}: {error}") from error
 

@@ -72,6 +72,8 @@ def find_problems(content: Mapping[str, Any]) -> list[str]:
         Curves as JSON values, with `budgets`, `at`, `as_of`, and `instrument` where it is known.
     """
     problems = list(_check_instants(content))
+    if content.get("format", FORMAT) != FORMAT:
+        problems.append(f"format: expected {FORMAT}, found {content['format']!r}")
     names = [name_path(curve) for curve in content["curves"]]
     if not names:
         problems.append("there is no curve")
@@ -84,7 +86,8 @@ def find_problems(content: Mapping[str, Any]) -> list[str]:
         if arms is not None and curve["dipole"] not in (None, *arms):
             problems.append(f"{name}: the instrument has no arm {curve['dipole']}, but {', '.join(arms)}")
         try:
-            problems += [f"{name}: {problem}" for problem in _check_curve(curve, content.get("budgets", {}))]
+            found = [*_check_path(curve), *_check_curve(curve, content.get("budgets", {}))]
+            problems += [f"{name}: {problem}" for problem in found]
         except (KeyError, TypeError, ValueError) as error:
             problems.append(f"{name}: its fields are not those of a curve ({str(error)[:SHOWN]})")
     return problems
@@ -106,6 +109,12 @@ def _parse(text: str | None) -> datetime | None:
         return datetime.fromisoformat(text) if text else None
     except ValueError:
         return None
+
+
+def _check_path(curve: Mapping[str, Any]) -> Iterator[str]:
+    for name, kind, said in (("station", str, "a text"), ("antenna", int, "a whole number"), ("dipole", str, "a text")):
+        if not isinstance(curve[name], kind | None):
+            yield f"{name}: expected {said} or null, found {curve[name]!r}"
 
 
 def _check_curve(curve: Mapping[str, Any], budgets: Mapping[str, Any]) -> Iterator[str]:

@@ -75,8 +75,15 @@ class Station:
         return replace(self, relative_variance=np.where(is_known, self.relative_variance, np.inf))
 
 
-def gather_stations(spectra: Spectra, simulation: Simulation) -> list[Station]:
+def gather_stations(
+    spectra: Spectra, simulation: Simulation, ratios: Mapping[str, SkyRatio] | None = None
+) -> list[Station]:
     """Lay out the spectra of each station.
+
+    Parameters
+    ----------
+    ratios
+        `sky_ratios` of the instrument, where they are at hand.
 
     Raises
     ------
@@ -85,13 +92,15 @@ def gather_stations(spectra: Spectra, simulation: Simulation) -> list[Station]:
     """
     cable_of = require_one_cable_each(spectra, simulation.instrument)
     blocks = split_into_blocks(spectra)
-    ratios = sky_ratios(simulation.instrument)
+    of_array = sky_ratios(simulation.instrument) if ratios is None else ratios
     typical = float(np.median(spectra.blocks))
 
     def gather(name: str) -> Station:
         own = simulation.at_station(name)
         of_place = (
-            ratios if own.instrument.latitude_deg == simulation.instrument.latitude_deg else sky_ratios(own.instrument)
+            of_array
+            if own.instrument.latitude_deg == simulation.instrument.latitude_deg
+            else sky_ratios(own.instrument)
         )
         of_station = [block for block in blocks if block.station == name]
         return _gather(of_station, own, cable_of, typical, of_place)

@@ -21,7 +21,14 @@ from lbacal_core.causes.model import PLAIN, Model
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_same_grid
-from lbacal_core.instrument.chain import FRONT_CONSTANTS, PUBLISHED, Intercepts, constants_of_form, noise_constants
+from lbacal_core.instrument.chain import (
+    FRONT_CONSTANTS,
+    PUBLISHED,
+    ChainTerms,
+    Intercepts,
+    constants_of_form,
+    noise_constants,
+)
 from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.provenance import Remembered, hash_content
@@ -194,6 +201,16 @@ def noise_of(curve: CalibrationCurve, instrument: Instrument) -> Intercepts:
 
 def _levels_of(curve: CalibrationCurve, noise: Intercepts) -> Floats:
     return np.array([curve.parameters[name].value for name in noise.names])
+
+
+def terms_of(curve: CalibrationCurve, instrument: Instrument, sky: Floats) -> ChainTerms:
+    """The terms of the chain of a fitted curve under a P_sky of shape (..., freq), on all channels of the curve."""
+    if curve.c is None:
+        raise ValueError(f"{curve.name} has no curve")
+    noise = noise_of(curve, instrument)
+    level, r = _levels_of(curve, noise), len(noise.front)
+    slope = instrument.antenna_gain / curve.filled(np.asarray(curve.c)) ** 2
+    return ChainTerms(sky, noise.before(level[:r]), slope, *noise.split_behind(level[r:]))
 
 
 def noise_at_input(curve: CalibrationCurve, instrument: Instrument) -> dict[str, Floats]:

@@ -296,6 +296,7 @@ class EventNoiseAnswer(Answer):
 
     shared: list[list[float]] = Field(description="what channels share, one standard deviation each, independent")
     own: list[float] = Field(description="variance of each channel by itself")
+    common: float = Field(description="share of the first vector's variance that all paths of a station have in common")
     source: str
 
 

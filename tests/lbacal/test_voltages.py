@@ -83,7 +83,7 @@ EAST_TO_NORTH = {"X": math.radians(225.0), "Y": math.radians(135.0)}
 
 @dataclass
 class Channel:
-    """As in NuRadioReco's framework (3.1.0), which needs a compiler: the methods that the module calls."""
+    """As in NuRadioReco's framework (3.1.0): the methods that the module calls (`test_nuradio.py` has the package)."""
 
     number: int
     trace: np.ndarray

@@ -25,7 +25,8 @@ def test_a_fit_predicts_its_paths(tmp_path: Path) -> None:
     found = lbacal.fit(spectra, "lofar-superterp")
     told = lbacal.predict(found, at=AT, station="CS002", antenna=1, dipole="X", temperature=285 * u.K)
     assert "measured in 150 events of this path" in repr(told)
-    assert "no cause of the model follows the temperature" in told.notes[-1]
+    assert "no cause of the model follows the temperature" in told.notes[-2]
+    assert "sky's own noise" in told.notes[-1]
     events = told.draw_events(2000)
     assert np.cov(events, rowvar=False)[25, 26] == pytest.approx(told.event_covariance[25, 26], rel=0.1)
     for suffix in ("json", "h5", "ecsv", "fits", "csv", "html", "png"):
@@ -34,6 +35,34 @@ def test_a_fit_predicts_its_paths(tmp_path: Path) -> None:
     assert isinstance(told.plot(Figure().subplots()), Figure)
     with pytest.raises(UnknownNameError, match="unknown curve 'CS002 antenna 7 X'"):
         lbacal.predict(found, at=AT, station="CS002", antenna=7, dipole="X")
+
+
+def test_one_trace_for_all_hours_is_wrong_by_what_the_page_says(repository: Path) -> None:
+    """From the faintest hour to the brightest: the Galaxy's part of the power of 30-80 MHz, and all of it."""
+    found = lbacal.fit(lbacal.simulate("lofar-superterp", events=150, antennas=2), "lofar-superterp")
+    galaxy, recorded = [], []
+    for curve in found.report.curves[:2]:
+        power = found.simulation.background(curve, np.arange(0.0, 24.0, 0.25))
+        for level, into in ((power - found.simulation.electronics(curve), galaxy), (power, recorded)):
+            band = level.mean(axis=1)
+            into.append(10.0 * np.log10(band.max() / band.min()))
+    page = (repository / "docs/how-to/predict.md").read_text()
+    assert f"the Galaxy in it by up to {galaxy[0]:.1f} dB (X) and {galaxy[1]:.1f} dB (Y)" in page
+    assert recorded == pytest.approx([1.1, 1.5], abs=0.2), "what the page says, by the noise of this fit"
+    assert "the power that is recorded by 1.1 dB and 1.5 dB" in page
+
+
+def test_traces_of_one_event_share_its_gain_and_rates_may_differ() -> None:
+    at = {"at": "2014-05-01", "station": "CS002", "dipole": "X"}
+    told = [lbacal.predict("lofar-superterp", antenna=antenna, **at) for antenna in (1, 2)]
+    drawn = [lbacal.draw_traces(told, 4096, 250.0, seed) for seed in range(300)]
+    level = np.log([[np.mean(trace**2) for trace in traces] for traces in drawn])
+    # the gain of an event is 5 %, of whose variance 36 % is the station's; a trace of 16.4 us has its own noise
+    own = [np.linalg.norm(one.power) / one.power.sum() / 16.384**0.5 for one in told]
+    assert np.std(level, axis=0) == pytest.approx(np.hypot(0.05, own), rel=0.12)  # 4 % by 300 events
+    assert np.cov(level.T)[0, 1] == pytest.approx(0.03**2, abs=8e-4)  # 4e-4 by as many
+    expected = [50.0 * one.power.sum() for one in told]
+    assert np.exp(level).mean(axis=0) == pytest.approx(expected, rel=0.02)
 
 
 def test_the_command_writes_events_of_an_instrument_alone(command: Lbacal, tmp_path: Path) -> None:

@@ -66,6 +66,14 @@ def adopt(http: TestClient, name: str, *, promote: bool = True, dry_run: bool = 
     return answer.json()
 
 
+def notes_of_prediction(http: TestClient, **params: Any) -> list[str]:
+    """What a prediction by the calibration of 2015 says of itself."""
+    answer = http.get("/v1/predictions", params={**PATH, **params, "at": "2015-06-01"})
+    assert answer.status_code == 200, answer.text
+    notes: list[str] = answer.json()["notes"]
+    return notes
+
+
 def drift_of_path(http: TestClient) -> Floats:
     """C of the path by month over that of 2014."""
     return np.array([month["c_ratio"] for month in http.get("/v1/drift", params=PATH).json()["months"]])
@@ -105,6 +113,8 @@ def test_an_adopted_finding_changes_c_as_announced_and_withdrawal_restores_it_bi
     assert 0 < np.max(np.abs(moved)) < 0.03, "one chain with the year of the finding: it follows by the next refit"
     version = http.get(f"/v1/calibrations/{after['calibration']}").json()
     assert version["model"] == made["model"]
+    assert "in antenna 2, " in notes_of_prediction(http)[0]
+    assert "cause" not in " ".join(notes_of_prediction(http, antenna=1))
     assert look_for_due_work(station) == []
     with_cause = drift_of_path(http)
     assert np.allclose(with_cause[:12], drifted[:12], atol=0.003), "against another reference"

@@ -1,0 +1,42 @@
+"""Noise in the time domain from a power spectrum: the inverse of what `lbacal spectra` measures in traces."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lbacal_core.errors import BadInputError
+from lbacal_core.grids import Floats, guess_widths
+from lbacal_core.instrument.power_unit import RESISTANCE_OHM
+
+
+def draw_noise(
+    frequency_mhz: Floats, power: Floats, samples: int, sample_rate_mhz: float, rng: np.random.Generator
+) -> Floats:
+    """Gaussian noise with a one-sided power spectrum as spectra files have it, shape (trace, sample).
+
+    Each Fourier amplitude X_k is complex normal with <|X_k|^2> = n f_s P R_r / 2, so that the mean square of the
+    samples is the sum of P x width x R_r over the channels (Parseval). Between centres of channels ln P is linear;
+    outside the channels there is no noise. A trace is periodic: its end goes on at its beginning.
+
+    Parameters
+    ----------
+    power
+        P, shape (trace, freq): ADC^2/Ohm/MHz gives ADC units, W/MHz gives V.
+    samples
+        Number of samples n of each trace.
+    sample_rate_mhz
+        f_s, at least twice the highest frequency.
+    """
+    edge = guess_widths(frequency_mhz)[[0, -1]] / 2.0 * [-1.0, 1.0] + frequency_mhz[[0, -1]]
+    if samples < 2 or not sample_rate_mhz >= 2.0 * edge[1]:
+        raise BadInputError(
+            "sample_rate_mhz", f"two samples or more, {2.0 * edge[1]:g} MHz", f"{samples}, {sample_rate_mhz:g}"
+        )
+    bins = np.fft.rfftfreq(samples, 1.0 / sample_rate_mhz)
+    at = np.clip(np.searchsorted(frequency_mhz, bins) - 1, 0, frequency_mhz.size - 2)
+    share = np.clip((bins - frequency_mhz[at]) / np.diff(frequency_mhz)[at], 0.0, 1.0)
+    level = np.log(power)
+    density = np.exp(level[:, at] * (1.0 - share) + level[:, at + 1] * share) * ((bins >= edge[0]) & (bins <= edge[1]))
+    normal = rng.standard_normal((2, *density.shape))
+    amplitude = (normal[0] + 1j * normal[1]) * np.sqrt(samples * sample_rate_mhz * RESISTANCE_OHM / 4.0 * density)
+    return np.asarray(np.fft.irfft(amplitude, samples, axis=1))
