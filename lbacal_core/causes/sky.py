@@ -14,6 +14,7 @@ from lbacal_core.grids import Floats
 from lbacal_core.instrument.chain import ChainTerms
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.linear import pseudo_invert
+from lbacal_core.provenance import Remembered
 from lbacal_core.sky.model import SOURCES
 from lbacal_core.sky.power import vary_sky_power
 from lbacal_core.sky.sources import source_sky_power
@@ -50,7 +51,11 @@ class SkyRatio:
         return partial(self.evaluate, np.stack([read_at(self.terms[d], lst_hours) for d in dipoles], axis=1))
 
 
-def sky_ratios(instrument: Instrument) -> dict[str, SkyRatio]:
+_RATIOS: Remembered[str, Mapping[str, SkyRatio]] = Remembered(8)
+"""By the hash of what they are computed from, sky and antenna models by their content: every station asks for them."""
+
+
+def sky_ratios(instrument: Instrument) -> Mapping[str, SkyRatio]:
     """Ratios by which P_sky changes, by the name of the cause or of the source.
 
     Empty where the own models do not cover the instrument's channels.
@@ -59,21 +64,26 @@ def sky_ratios(instrument: Instrument) -> dict[str, SkyRatio]:
         own = vary_sky_power(instrument)
     except BadInputError:
         return {}
-    shares = {
-        name: {
-            d: source_sky_power(instrument, SOURCES[key], d, own.lst_hours) / own.power[d] for d in instrument.dipoles
+
+    def make() -> Mapping[str, SkyRatio]:
+        shares = {
+            name: {
+                d: source_sky_power(instrument, SOURCES[key], d, own.lst_hours) / own.power[d]
+                for d in instrument.dipoles
+            }
+            for name, key in SOURCE_KEYS.items()
         }
-        for name, key in SOURCE_KEYS.items()
-    }
-    wider = vary_sky_power(instrument, zenith_gain_fraction=0.2).power
-    shares["pattern_width"] = {d: (wider[d] / own.power[d] - 1.0) / 0.2 for d in instrument.dipoles}
-    turned = [vary_sky_power(instrument, azimuth_deg=angle) for angle in TURNS_DEG]
-    powers = [vary_sky_power(instrument, zenith_exponent=exponent) for exponent in EXPONENTS]
-    return {
-        **{name: SkyRatio({d: share[d][None] for d in instrument.dipoles}, _add) for name, share in shares.items()},
-        "dipole_azimuth": SkyRatio({d: _series(own, turned, d) for d in instrument.dipoles}, _turn),
-        "zenith_weighting": SkyRatio({d: _polynomial(own, powers, d) for d in instrument.dipoles}, _exponentiate),
-    }
+        wider = vary_sky_power(instrument, zenith_gain_fraction=0.2).power
+        shares["pattern_width"] = {d: (wider[d] / own.power[d] - 1.0) / 0.2 for d in instrument.dipoles}
+        turned = [vary_sky_power(instrument, azimuth_deg=angle) for angle in TURNS_DEG]
+        powers = [vary_sky_power(instrument, zenith_exponent=exponent) for exponent in EXPONENTS]
+        return {
+            **{name: SkyRatio({d: share[d][None] for d in instrument.dipoles}, _add) for name, share in shares.items()},
+            "dipole_azimuth": SkyRatio({d: _series(own, turned, d) for d in instrument.dipoles}, _turn),
+            "zenith_weighting": SkyRatio({d: _polynomial(own, powers, d) for d in instrument.dipoles}, _exponentiate),
+        }
+
+    return _RATIOS.get(own.digest(), make)
 
 
 def _add(terms: Floats, amount: Floats) -> Floats:

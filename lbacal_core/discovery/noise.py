@@ -15,7 +15,6 @@ from scipy.linalg import helmert
 from scipy.special import bdtrc, chdtr, chdtrc, chdtri, fdtrc
 
 from lbacal_core.calibration.lines import CHANNELS_PER_VECTOR, MOST_VECTORS, orthonormal
-from lbacal_core.causes.axes import list_axes
 from lbacal_core.causes.cause import RAIN
 from lbacal_core.discovery.station import Station
 from lbacal_core.grids import Floats
@@ -135,8 +134,6 @@ LINE = 5.0
 """Standard deviations at which a channel of an event is cut: beyond are lines of interference, which noise has not."""
 ONE_SIGMA, IN_MOST = 0.683, 0.15
 """Quantile of a normal amount at one standard deviation, and the part of an excess variance that most events show."""
-STRUCTURE_SHARE, SMALLEST_PROFILE = 1 / 3, 1e-6
-"""Most profiles in time that are no noise, as a share of the events; and the size of one that others contain."""
 TYPICAL_EVENTS = 100
 """Spectra for which the typical covariance of a path counts in that of a cable name: 14 % of a variance."""
 GAINS_PRIOR = 1e-4
@@ -271,7 +268,7 @@ def estimate_levels(
     class_share = members.share_of_class(station)
     seeds = members.seeds[:, : max(1, channels // CHANNELS_PER_VECTOR)]
     seen = np.tensordot(class_share, seeds, axes=1)
-    structure, is_ordinary = profiles_of_axes(station), _is_ordinary(mean, seen)
+    structure, is_ordinary = station.profiles_of_axes, _is_ordinary(mean, seen)
     free_events = max(events - 2 - structure.shape[1], 1)
     whole, clean = mean, _clean(mean, structure, is_ordinary)
     kinds = list_kinds(station, clean.sum(axis=0) @ orthonormal(seen)[:MOST_VECTORS].T)
@@ -391,26 +388,9 @@ def _scatter(amount: Floats) -> Floats:
     return np.asarray(inside.T @ inside / (max(len(inside), 1) * cut))
 
 
-def profiles_of_axes(station: Station) -> Floats:
-    """Orthonormal profiles in time of what varies smoothly along any axis of the data, shape (event, profile).
-
-    What follows an axis is structure, which causes may explain, and no noise: noise would swallow it. Axes are taken in
-    their order while the profiles are few beside the events.
-    """
-    conditions = station.conditions
-    events = station.power.shape[1]
-    profiles: list[Floats] = [np.ones((1, events))]
-    for axis in list_axes(conditions):
-        basis = axis.basis(conditions)
-        if basis is not None and sum(map(len, profiles)) + len(basis) <= STRUCTURE_SHARE * events:
-            profiles.append(basis)
-    found, sizes, _ = np.linalg.svd(np.concatenate(profiles).T, full_matrices=False)
-    return np.asarray(found[:, sizes > SMALLEST_PROFILE * sizes[0]])
-
-
 def clean_mean(station: Station, mean: Floats, seeds: Floats) -> Floats:
     """The means, shape (polarisation, event, freq), less what follows any axis of the data."""
-    return _clean(mean, profiles_of_axes(station), _is_ordinary(mean, seeds))
+    return _clean(mean, station.profiles_of_axes, _is_ordinary(mean, seeds))
 
 
 def _is_ordinary(mean: Floats, seeds: Floats) -> NDArray[np.bool_]:

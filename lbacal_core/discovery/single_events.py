@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.special import bdtrc, chdtrc, gammaln
 
 from lbacal_core.discovery.hypothesis import p_of_best
-from lbacal_core.discovery.noise import LINE, clean_mean, is_heavy, profiles_of_axes
+from lbacal_core.discovery.noise import LINE, clean_mean, is_heavy
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.station import Station
 from lbacal_core.grids import Floats
@@ -126,7 +126,7 @@ def find_memory(station: Station, white: Floats, vectors: Floats, smooth: Floats
     amount = clean_mean(station, white[None], vectors)[0][order] @ basis.T
     values, turned = np.linalg.eigh(np.cov(amount.T))
     amount = np.clip((amount - amount.mean(axis=0)) @ turned / np.sqrt(values), -LARGEST, LARGEST)
-    profiles = profiles_of_axes(station)[order]
+    profiles = station.profiles_of_axes[order]
     amount -= profiles @ (profiles.T @ amount)
     amount /= np.sqrt(np.sum(amount**2, axis=0) / (len(amount) - profiles.shape[1]))
     mean, variance, skewness = neighbours.cumulants(profiles)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.calibration.paths import Cables, require_one_cable_each
 from lbacal_core.calibration.singles import MIN_EVENTS
+from lbacal_core.causes.axes import list_axes
 from lbacal_core.causes.cause import Conditions
 from lbacal_core.causes.sky import SkyRatio, sky_ratios
 from lbacal_core.errors import BadInputError
@@ -21,6 +23,9 @@ from lbacal_core.sky.sources import response_towards
 from lbacal_core.sky.table import SkyPower
 from lbacal_core.spectra.blocks import SpectraBlock, split_into_blocks
 from lbacal_core.spectra.spectra import Spectra
+
+STRUCTURE_SHARE, SMALLEST_PROFILE = 1 / 3, 1e-6
+"""Most profiles in time that are no noise, as a share of the events; and the size of one that others contain."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +72,22 @@ class Station:
     def is_used(self) -> NDArray[np.bool_]:
         """Whether any path has a spectrum of an event, shape (event,)."""
         return np.asarray(self.is_present.any(axis=0))
+
+    @cached_property
+    def profiles_of_axes(self) -> Floats:
+        """Orthonormal profiles in time of what varies smoothly along any axis of the data, shape (event, profile).
+
+        What follows an axis is structure, which causes may explain, and no noise: noise would swallow it. Axes are
+        taken in their order while the profiles are few beside the events.
+        """
+        events = self.power.shape[1]
+        profiles: list[Floats] = [np.ones((1, events))]
+        for axis in list_axes(self.conditions):
+            basis = axis.basis(self.conditions)
+            if basis is not None and sum(map(len, profiles)) + len(basis) <= STRUCTURE_SHARE * events:
+                profiles.append(basis)
+        found, sizes, _ = np.linalg.svd(np.concatenate(profiles).T, full_matrices=False)
+        return np.asarray(found[:, sizes > SMALLEST_PROFILE * sizes[0]])
 
     def on_events(self, is_known: NDArray[np.bool_]) -> Station:
         """The station without the spectra of other events; the grid stays."""
@@ -176,7 +197,8 @@ def _conditions(
     letters = [letter for letter, _ in classes]
 
     def at(table: SkyPower, hours: Floats) -> Floats:
-        return np.stack([table.at(letter, hours) for letter in letters])
+        of_dipole = {letter: table.at(letter, hours) for letter in set(letters)}
+        return np.stack([of_dipole[letter] for letter in letters])
 
     sun_response = None
     if ratios:

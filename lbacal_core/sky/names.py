@@ -112,7 +112,7 @@ def load_sky(name_or_file: str) -> SkyModel:
     if path.suffix == ".npz" and path.is_file():
         return read_component_maps(path)
     if path.is_dir() or (path.suffix == ".fits" and path.is_file()):
-        from lbacal_core.sky.maps import read_fits_maps  # astropy.io.fits takes time to load
+        from lbacal_core.sky.fits_maps import read_fits_maps  # astropy.io.fits takes time to load
 
         return read_fits_maps(path)
     if path.is_file():

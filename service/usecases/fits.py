@@ -127,6 +127,7 @@ class Fits:
     resistance_ohm: float
     clock: Callable[[], Instant]
     read: Remembered[Read, Spectra] = field(default_factory=lambda: Remembered(1))
+    fitted: Remembered[tuple[Any, ...], FittedCauses] = field(default_factory=lambda: Remembered(1))
 
     def load(self, stores: Stores, wanted: Wanted) -> Spectra:
         """The spectra of a fit, or an error where there is none.
@@ -242,10 +243,19 @@ class Fits:
         return Outcome(examined, rest) if np.all(seen) and is_few else None
 
     def fit_causes(self, spectra: Spectra, model: Model, *, are_sizes_known: bool = False) -> FittedCauses:
-        """Fit the sizes of the adopted causes to all spectra of their stations, where these are enough for any fit."""
+        """Fit the sizes of the adopted causes to all spectra of their stations, where these are enough for any fit.
+
+        The last fit of a station's causes stays in memory: the next part is another scope of the same spectra.
+        """
         stations = [] if model.is_plain else np.unique(spectra.station).tolist()
         enough = model.of_stations([name for name in stations if _has_enough(spectra, name)])
-        return fit_causes(spectra, self.simulation.with_causes(enough), are_sizes_known=are_sizes_known)
+
+        def fit() -> FittedCauses:
+            return fit_causes(spectra, self.simulation.with_causes(enough), are_sizes_known=are_sizes_known)
+
+        if len(stations) != 1:
+            return fit()
+        return self.fitted.get((spectra.digest(), hash_covariates(spectra), enough.id, are_sizes_known), fit)
 
     def foresee(
         self, whole: FittedCauses, wanted: Wanted, before: Sequence[Version], budget: Budget, neighbours: Neighbours

@@ -214,3 +214,14 @@ def test_a_source_adds_its_share(ratios):
 def test_channels_that_the_own_models_do_not_cover_have_no_ratios(world):
     outside = replace(world.instrument, frequency_mhz=world.instrument.frequency_mhz + 300.0)
     assert sky_ratios(outside) == {}
+
+
+def test_ratios_are_those_of_the_place_the_arms_and_the_antenna_that_are_asked_for(world):
+    """They are computed once for each."""
+    here = sky_ratios(world.instrument)
+    arms = {"X": 60.0, "Y": 150.0}
+    others = [replace(world.instrument, latitude_deg=45.0), replace(world.instrument, dipole_azimuth_deg=arms)]
+    for other in [*others, replace(world.instrument, antenna="short-dipole")]:
+        assert np.abs(sky_ratios(other)["Cas A"].terms["X"] - here["Cas A"].terms["X"]).max() > 1e-4
+    again = sky_ratios(replace(world.instrument, name="the same elsewhere"))
+    assert all(again[name] is one for name, one in here.items())

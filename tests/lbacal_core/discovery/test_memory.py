@@ -3,7 +3,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.discovery.noise import profiles_of_axes
 from lbacal_core.discovery.single_events import FEWEST_PAIRS, WITHIN_S, _Neighbours, chance_of, find_memory
 
 CHANNELS = 51
@@ -53,7 +52,7 @@ def test_what_is_taken_out_along_the_axes_costs_no_memory(in_runs):
 
 
 def test_cumulants_of_neighbours_are_those_of_the_whole_matrix(in_runs):
-    time, profiles = np.sort(in_runs.conditions.time_unix), profiles_of_axes(in_runs)
+    time, profiles = np.sort(in_runs.conditions.time_unix), in_runs.profiles_of_axes
     pairs = (np.abs(time[:, None] - time) < WITHIN_S) / 2.0 - np.eye(time.size) / 2.0
     rest = np.eye(time.size) - profiles @ profiles.T
     whole = rest @ pairs @ rest
