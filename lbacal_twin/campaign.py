@@ -17,7 +17,7 @@ from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.faults.fault import Fault
 from lbacal_twin.gains import BEHIND_EVERYTHING, EventGains, draw_scatter
 from lbacal_twin.hardware import Scene, Stages, build_station, path_calibration
-from lbacal_twin.nuisances import NONE, Nuisances, add_interference, deafen, depart, lose_spectra
+from lbacal_twin.nuisances import NONE, Nuisances, add_interference, deafen, depart, lose_spectra, mismatch_antennas
 from lbacal_twin.settings import StationTruth, Truth, TwinSettings
 from lbacal_twin.view import View
 from lbacal_twin.weather import draw_event_times, draw_weather
@@ -135,9 +135,11 @@ def draw_stations(
         stages, truth = build_station(settings, instrument, scene, of_hardware)
         if nuisances.departures > 0:
             stages = depart(stages, nuisances.departures, of_departures)
+        if nuisances.mismatch > 0:
+            stages = mismatch_antennas(stages, instrument.frequency_mhz, nuisances.mismatch, of_departures)
         if nuisances.deaf_antennas > 0:
             stages = deafen(stages, nuisances.deaf_antennas, of_departures)
-        if nuisances.departures > 0 or nuisances.deaf_antennas > 0:
+        if nuisances.departures > 0 or nuisances.mismatch > 0 or nuisances.deaf_antennas > 0:
             truth = replace(truth, c=path_calibration(stages, instrument))
         drawn.append(DrawnStation(scene, stages, truth, of_noise, of_gains))
     return drawn, of_losses

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
+from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,9 @@ class Nuisances:
     departures
         Spread from path to path, of zero mean, of each noise level, of the gain behind N_RCU, and of A along
         frequency: as a fraction of power (levels: three times that).
+    mismatch
+        Spread from path to path of what the antenna hands to its amplifier, r.m.s. along frequency of ln power. Its
+        forms are those of measured antennas: 0.02-0.05 at one station of the LWA, 0.13-0.23 at another.
     sky_correlation
         Part of the radiometer variance that all antennas of a station share, because they see the same sky.
     deaf_antennas
@@ -49,13 +53,21 @@ class Nuisances:
     noisy_stations: tuple[str, ...] = ()
     noise_factor: float = 1.5
     departures: float = 0.0
+    mismatch: float = 0.0
     sky_correlation: float = 0.0
     deaf_antennas: int = 0
     clustered: float = 0.0
     interference: float = 0.0
 
     def __post_init__(self) -> None:
-        limits = {"missing": 0.9, "thin": 1.0, "departures": 0.2, "sky_correlation": 0.9, "clustered": 1.0}
+        limits = {
+            "missing": 0.9,
+            "thin": 1.0,
+            "departures": 0.2,
+            "mismatch": 0.5,
+            "sky_correlation": 0.9,
+            "clustered": 1.0,
+        }
         for field, limit in limits.items():
             if not 0 <= getattr(self, field) <= limit:
                 raise BadInputError(
@@ -96,6 +108,15 @@ def depart(stages: Stages, size: float, rng: np.random.Generator) -> Stages:
         receiver=stages.receiver * spread(size),
         antenna=stages.antenna * (1.0 + own),
     )
+
+
+def mismatch_antennas(stages: Stages, frequency_mhz: Floats, size: float, rng: np.random.Generator) -> Stages:
+    """The stages with antennas as unlike as measured ones: sums of their forms, each of r.m.s. 1 on these channels."""
+    table = np.loadtxt(str(files("lbacal_twin") / "mismatch.csv"), delimiter=",", skiprows=2)
+    forms = np.array([np.interp(frequency_mhz, table[:, 0], column) for column in table[:, 1:].T])
+    forms /= np.sqrt(np.mean(forms**2, axis=1, keepdims=True) * len(forms))
+    drawn = rng.normal(scale=size, size=(*stages.gain.shape[:2], 1, len(forms))) @ forms
+    return replace(stages, antenna=stages.antenna * np.exp(drawn))
 
 
 def deafen(stages: Stages, count: int, rng: np.random.Generator) -> Stages:

@@ -67,8 +67,8 @@ class Station:
     others: DifferenceModels
 
 
-def draw_station(rng: np.random.Generator, length: str) -> Station:
-    """Spectra of a station in a drawn world, and its record."""
+def draw_station(rng: np.random.Generator, length: str, mismatch: float = 0.0) -> Station:
+    """Spectra of a station in a drawn world, and its record; its antennas are as unlike as `mismatch` says."""
     instrument = load_instrument("lofar-superterp")
     hours, count = LENGTHS[length]
     world = draw_world(rng, SKIES, ANTENNAS)
@@ -83,7 +83,8 @@ def draw_station(rng: np.random.Generator, length: str) -> Station:
         start_unix=1.4e9 + rng.uniform(0, 3e7), years=years, events_per_year=round(count / years), stations=(STATION,),
         antennas=size, event_gain_common=gain, event_gain_path=gain / 3, radiometer=0.005,
     )  # fmt: skip
-    sky_power, nuisances = world.sky_power(instrument), Nuisances(departures=0.01, missing=0.01 if count > 1 else 0.0)
+    sky_power, missing = world.sky_power(instrument), 0.01 if count > 1 else 0.0
+    nuisances = Nuisances(departures=0.01, missing=missing, mismatch=mismatch)
     while True:
         try:
             spectra = simulate_campaign(settings, instrument, sky_power, rng, nuisances=nuisances).spectra
@@ -161,9 +162,9 @@ def tell_audit(length: str, seed: int) -> Row:
     return tell_fault(length, seed, KINDS[seed // 2 % len(KINDS)] if seed % 2 else "nothing")
 
 
-def tell_fault(length: str, seed: int, kind: str) -> Row:
+def tell_fault(length: str, seed: int, kind: str, mismatch: float = 0.0) -> Row:
     rng = np.random.default_rng([20261122, seed])
-    station = draw_station(rng, length)
+    station = draw_station(rng, length, mismatch)
     spectra, instrument = station.spectra, station.instrument
     faulty = Faulty(spectra, instrument) if kind == "nothing" else hide(kind, spectra, instrument, rng)
     report = audit(faulty.spectra, faulty.instrument, others=station.others)

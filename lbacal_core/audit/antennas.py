@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from lbacal_core.audit.station import SKY_HOURS, AuditedStation, as_power, spread
 from lbacal_core.audit.verdict import UNDECIDED, WRONG, Line
@@ -25,13 +26,15 @@ DEAD_LEVEL = -np.log(10.0)
 DEAF_SHARE, DEAF_LEVEL = 0.6, -0.25
 """A deaf path follows less than this of the others' spectrum or of their change with time, and lies lower."""
 PEAK, PEAK_SHARE = np.log(2.0), 1 / 3
-"""An oscillating path exceeds its own level by a factor 2 in fewer than a third of its channels, or is loud."""
+"""An oscillating path exceeds its own level by a factor 2 in fewer than a third of its channels, and there by more than
+the antennas of its station differ; or it is loud."""
 LOUD = np.log(3.0)
 CLIPPED_SHARE = 0.7
 """A clipped path is loud and follows less than this of the others' change with time."""
 OUTLYING_SIGMA, OUTLYING = 6.0, 0.2
 """An outlying path is this many robust standard deviations and this factor from the others."""
 SMALLEST_SPREAD = 0.01
+NINTH = 0.9
 CLASS = 3
 """Antennas of one cable name that are compared among themselves; of a rarer name, with all."""
 MEASURABLE = 0.03
@@ -90,16 +93,23 @@ def find_ill_paths(station: AuditedStation, comparison: Comparison) -> tuple[lis
     is_ill = np.zeros(comparison.level.shape, dtype=bool)
     names, counts = np.unique(station.cables, return_counts=True)
     is_comparable = counts[np.searchsorted(names, station.cables)] >= CLASS
-    level_spread = np.maximum(spread(comparison.level), SMALLEST_SPREAD)
     rms = np.sqrt(np.mean(comparison.profile**2, axis=-1))
     typical_rms = np.maximum(np.nanmedian(rms, axis=0), SMALLEST_SPREAD)
+    # antennas that are unlike along frequency are so in the mean of their bands as well
+    level_spread = np.hypot(np.maximum(spread(comparison.level), SMALLEST_SPREAD), typical_rms)
+    # unlike antennas scatter more upwards; the one that is asked about must not say by how much
+    typical = np.nanmedian(comparison.profile, axis=0)
+    others = np.sort(np.where(np.isfinite(comparison.profile), comparison.profile, typical), axis=0)[:-1]
+    middle, high = np.quantile(others, [0.5, NINTH], axis=0)
+    above = np.maximum((high - middle) / ndtri(NINTH), spread(comparison.profile))
+    tallest = np.maximum(PEAK, OUTLYING_SIGMA * above)
     centre = np.nanmedian(comparison.level, axis=0)
     for a, d in np.ndindex(*comparison.level.shape):
         level = comparison.level[a, d] - centre[d]
         if not np.isfinite(level):
             continue
         sigma, shape_ratio = float(level / level_spread[d]), float(rms[a, d] / typical_rms[d])
-        kind = _name(comparison, a, d, float(level), sigma, shape_ratio)
+        kind = _name(comparison, a, d, float(level), sigma, shape_ratio, tallest[d])
         if kind is None or (kind == "outlying" and not is_comparable[a]):
             continue
         is_ill[a, d] = True
@@ -128,13 +138,15 @@ _SENTENCES = {
 }
 
 
-def _name(comparison: Comparison, a: int, d: int, level: float, sigma: float, shape_ratio: float) -> str | None:
+def _name(
+    comparison: Comparison, a: int, d: int, level: float, sigma: float, shape_ratio: float, tallest: Floats
+) -> str | None:
     """The first kind whose description a path meets, or None."""
     follows = float(np.nan_to_num(comparison.follows[a, d], nan=1.0))
     receives = min(float(comparison.shares[a, d]), follows)
     profile = comparison.profile[a, d]
     is_far = abs(sigma) > OUTLYING_SIGMA
-    is_peaked = profile.max() > PEAK and np.mean(profile > PEAK / 2) < PEAK_SHARE
+    is_peaked = bool(np.any(profile > tallest)) and np.mean(profile > PEAK / 2) < PEAK_SHARE
     is_odd = shape_ratio > OUTLYING_SIGMA and np.sqrt(np.mean(profile**2)) > OUTLYING / 2
     kinds = {
         "dead": level < DEAD_LEVEL,
