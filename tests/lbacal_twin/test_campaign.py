@@ -401,3 +401,21 @@ def test_a_temperature_that_is_wrong_in_the_file_moves_c_and_fails_the_chain_tes
     ).curves[0]
     assert right.chi2_per_dof < 2.0 < wrong.chi2_per_dof
     assert np.median(np.abs(wrong.c - right.c) / right.c_sigma_stat) > 2.0
+
+
+def test_unlike_antennas_hand_over_powers_that_differ_as_much_as_is_asked_and_the_truth_knows_it(
+    simulate: Simulate,
+) -> None:
+    alike, unlike = (simulate(QUIET, nuisances=Nuisances(mismatch=size)) for size in (0.0, 0.2))
+    ratios = []
+    for one, other in zip(alike.truth.stations, unlike.truth.stations, strict=True):
+        for row, antenna in enumerate(one.antennas):
+            for k, dipole in enumerate("XY"):
+                ratios.append(-2.0 * np.log(other.c[row, k] / one.c[row, k]))
+                at = (alike.spectra.station == one.station) & (alike.spectra.antenna == antenna)
+                at &= alike.spectra.dipole == dipole
+                change = np.log(unlike.spectra.power[at] / alike.spectra.power[at])
+                assert np.all(np.abs(change) <= np.abs(ratios[-1]) + 1e-9), "noise behind the antenna dilutes it"
+                assert np.all(change * ratios[-1] >= -1e-9)
+    assert np.sqrt(np.mean(np.square(ratios))) == pytest.approx(0.2, rel=0.25)
+    assert np.std(np.diff(ratios, axis=1)) > 0.005, "not flat along frequency"

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from validation.audit import KINDS, PARTS, tell_audit, tell_paths
+from validation.audit import KINDS, PARTS, tell_audit, tell_fault, tell_paths
 from validation.machinery.parts import Row
 from validation.machinery.records import verdicts_of
 
@@ -65,3 +65,11 @@ def test_a_minute_names_no_clock_and_still_finds_a_dead_path() -> None:
 def test_the_judgement_refutes_an_audit_that_names_healthy_stations(rows: list[Row]) -> None:
     rash = [row | {"outcome": "false"} if row["kind"] == "nothing" else row for row in rows]
     assert verdicts_of("audit", "day", rash)["false"] == "refuted"
+
+
+@pytest.mark.parametrize("seed", [5000, 5005, 5010])
+def test_a_healthy_station_of_antennas_as_unlike_as_the_worst_measured_is_left_alone(seed: int) -> None:
+    """Of 12 antennas that differ by 17 %, two were said to oscillate or to lie outside in the second of them."""
+    assert tell_fault("day", seed, "nothing", 0.17)["said"] == []
+    broken = tell_fault("day", seed, "oscillating", 0.17)
+    assert broken["outcome"] == "right", broken["said"]
