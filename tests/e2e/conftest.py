@@ -1,11 +1,13 @@
 from __future__ import annotations
 
+import fcntl
 import os
 import shutil
+import sqlite3
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,6 +29,7 @@ QUIET = [
     "--disable-component-update", "--disable-sync",
 ]  # fmt: skip
 expect.set_options(timeout=30_000)  # a busy machine fails no test
+SPECTRA = "spectra.h5"
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
 
@@ -53,10 +56,16 @@ class Service:
 
 
 @pytest.fixture(scope="session")
-def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
-    """Two years of two antennas, served, ingested and fitted with the commands of the README."""
+def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of two years of two antennas, served, ingested and fitted with the commands of the README."""
     settings = TwinSettings(stations=("CS002",), antennas=2, years=1.99, events_per_year=100)
-    with serve(tmp_path_factory.mktemp("service"), settings, {"watch", "investigation"}) as made:
+    return make_once(tmp_path_factory, "fitted", settings, {"watch", "investigation"})
+
+
+@pytest.fixture(scope="session")
+def service(fitted: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+    """A service of these years."""
+    with serve_copy(fitted, tmp_path_factory) as made:
         yield made
 
 
@@ -64,30 +73,72 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
 def faulty(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """The same with a clock that is two hours behind, in the year 2014: misfits, nothing in effect, and no drift."""
     settings = TwinSettings(stations=("CS002",), antennas=2, years=0.99, events_per_year=200)
-    with serve(tmp_path_factory.mktemp("faulty"), settings, {"investigation"}, [LstOffset(size=2.0)]) as made:
+    state = make_once(tmp_path_factory, "faulty", settings, {"investigation"}, [LstOffset(size=2.0)])
+    with serve_copy(state, tmp_path_factory) as made:
         yield made
 
 
+def make_once(
+    factory: pytest.TempPathFactory, name: str, settings: TwinSettings, last: set[str], faults: Sequence[Fault] = ()
+) -> Path:
+    """The folder of a service after its first night, made by one process of the tests for all of them."""
+    common = factory.getbasetemp()
+    common = common.parent if "PYTEST_XDIST_WORKER" in os.environ else common
+    made = common / f"{name}-made"
+    with (common / f"{name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not made.is_dir():
+            new = factory.mktemp(name)
+            make_state(new, settings, last, faults)
+            new.rename(made)  # whole or not there: what could not be made is tried again
+    return made
+
+
 @contextmanager
-def serve(folder: Path, settings: TwinSettings, last: set[str], faults: Sequence[Fault] = ()) -> Iterator[Service]:
+def serve_copy(state: Path, factory: pytest.TempPathFactory) -> Iterator[Service]:
+    """A service on a copy of a folder, with all its processes."""
+    folder = factory.mktemp("service") / "copy"
+    shutil.copytree(state, folder)
+    with serve(folder) as made:
+        wait_until(lambda: _are_all_there(made.url), "the scheduler and the worker")
+        yield made
+
+
+def _are_all_there(url: str) -> bool:
+    """Whether API, scheduler and worker live."""
+    return {one["kind"] for one in get(f"{url}/v1/status").json()["processes"]} == {"api", "scheduler", "worker"}
+
+
+def make_state(folder: Path, settings: TwinSettings, last: set[str], faults: Sequence[Fault]) -> None:
     """A service with the spectra of a simulated campaign, one of whose nights has passed, up to its last jobs."""
+    spectra = folder / SPECTRA
+    instrument = load_instrument("lofar-superterp")
+    sky = compute_sky_power(instrument)
+    write_spectra(simulate_campaign(settings, instrument, sky, np.random.default_rng(5), faults).spectra, spectra)
+    with serve(folder) as made:
+        made.do("ingest", str(spectra))
+        made.do("scheduler", "--once")
+        wait_until(lambda: _is_idle(made.url, last), "the night to end")
+    with closing(sqlite3.connect(folder / "lbacal.sqlite")) as connection, connection:
+        # scheduler and worker end with their server at once, and count as alive for a minute
+        connection.execute("DELETE FROM process")
+
+
+@contextmanager
+def serve(folder: Path) -> Iterator[Service]:
+    """The service of a folder, which holds its spectra and its database, and the key of an administrator."""
     port = find_free_port()
     url = f"http://127.0.0.1:{port}"
     environment = os.environ | {
         "LBACAL_DATABASE_URL": str(folder / "lbacal.sqlite"), "LBACAL_URL": url, "LBACAL_POLL_S": "0.1",
         "LBACAL_GATE_ERROR": "0.3", "LBACAL_GATE_CHANGE": "0.5", "COLUMNS": "200",
     }  # fmt: skip
-    spectra = folder / "spectra.h5"
-    instrument = load_instrument("lofar-superterp")
-    sky = compute_sky_power(instrument)
-    write_spectra(simulate_campaign(settings, instrument, sky, np.random.default_rng(5), faults).spectra, spectra)
     with running(Process(environment, folder / "log", "serve", "--port", str(port))):
         wait_until(lambda: is_ready(url), "the server to answer")
-        made = Service(url, environment, spectra)
-        made.environment["LBACAL_API_KEY"] = made.do("keys", "create", "--scope", "admin").splitlines()[-1]
-        made.do("ingest", str(spectra))
-        made.do("scheduler", "--once")
-        wait_until(lambda: _is_idle(url, last), "the night to end")
+        made, key = Service(url, environment, folder / SPECTRA), folder / "key"
+        if not key.exists():
+            key.write_text(made.do("keys", "create", "--scope", "admin").splitlines()[-1])
+        made.environment["LBACAL_API_KEY"] = key.read_text()
         yield made
 
 

@@ -178,7 +178,7 @@ def is_done(environment: dict[str, str], *arguments: str) -> bool:
 
 
 @pytest.mark.usefixtures("needs_postgres")
-def test_the_commands_of_the_compose_file_are_a_service(compose: dict[str, Any], service: Any, tmp_path: Path) -> None:
+def test_the_commands_of_the_compose_file_are_a_service(compose: dict[str, Any], fitted: Path, tmp_path: Path) -> None:
     services, log = compose["services"], tmp_path / "log"
     with run_postgres() as url:
         environment = {name: environment_of(services[name], url) for name in ("migrate", "api", "scheduler", "worker")}
@@ -200,7 +200,7 @@ def test_the_commands_of_the_compose_file_are_a_service(compose: dict[str, Any],
             for name in ("scheduler", "worker"):
                 _, _, *check = services[name]["healthcheck"]["test"]
                 wait_until(lambda check=check: is_done(environment["worker"], *check), f"the {name}")
-            spectra = read_spectra(service.spectra)
+            spectra = read_spectra(fitted / "spectra.h5")
             client.ingest(spectra.select(spectra.time_unix < 1_420_070_400.0))
             job = client.refit("station", "2014-01-01", "2015-01-01", reason="compose", promote=True)
             assert job["state"] == "done", job
