@@ -19,11 +19,10 @@ from numpy.typing import NDArray
 
 from lbacal_core.errors import BadInputError, MissingExtraError, UnreadableFileError
 from lbacal_core.grids import Floats, interpolate
+from lbacal_core.instrument.power_unit import RESISTANCE_OHM
 
 Impedance = NDArray[np.complex128]
 """Ohm, shape (freq,)."""
-RESISTANCE_OHM = 50.0
-"""R_r, to which recorded powers and G_ant are referred."""
 T_0 = 290.0
 """Temperature at which noise figures are defined, K."""
 

@@ -167,7 +167,10 @@ BAD_INPUT: dict[str, tuple[Callable[[Path], None], str]] = {
     "future": (change_spectra(lambda f: f["time_unix"].__setitem__(7, 4e9)), "time_unix, row 7: .*found 4000000000.0"),
     "unknown antenna": (
         change_spectra(lambda f: f["antenna"].__setitem__(slice(240, 480), 9)),
-        r"antenna, row 240: station CS002, antenna 9: expected an antenna of .*\(antennas 0 to 1 of it\), found",
+        (
+            "spectra.h5: antenna, row 240: station CS002, antenna 9: expected an antenna of instrument one station "
+            r"\(antennas 0 to 1 of it\), found"
+        ),
     ),
     "unknown station": (
         change_spectra(lambda f: f["station"].__setitem__(slice(0, 480), b"CS009")),

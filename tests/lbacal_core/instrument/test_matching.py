@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
+import runpy
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -108,8 +108,8 @@ def test_an_error_of_s11_is_a_term_of_the_budget_that_planted_errors_make(
     page = (repository / "docs/how-to/describe-your-chain.md").read_text().split("## S11")[1]
     monkeypatch.chdir(tmp_path)
     write_s1p(tmp_path / "antenna.s1p")
-    names: dict[str, Any] = {}
-    exec(compile(page.split("```python\n")[1].split("```")[0], "page", "exec"), names)  # noqa: S102 - the page is ours
+    (tmp_path / "page.py").write_text(page.split("```python\n")[1].split("```")[0])
+    names = runpy.run_path("page.py")
     mine, instrument = names["mine"], names["instrument"]
     assert {curve.status for curve in names["found"].report.curves} == {"converged"}
     terms = {term.name: term for term in lbacal.budget(names["spectra"], instrument).terms}
