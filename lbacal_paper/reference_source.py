@@ -18,7 +18,7 @@ from lbacal_core.antenna.unfolding import IMPEDANCE_OF_FREE_SPACE as Z_0
 from lbacal_core.antenna.unfolding import effective_area
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_same_grid
-from lbacal_core.instrument.power_unit import RESISTANCE_OHM
+from lbacal_core.instrument.matching import RESISTANCE_OHM
 
 
 @dataclass(frozen=True)

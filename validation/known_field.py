@@ -20,7 +20,7 @@ from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.data.tables import read_table
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.instrument.power_unit import RESISTANCE_OHM
+from lbacal_core.instrument.matching import RESISTANCE_OHM
 from lbacal_paper.reference_source import (
     HEIGHT_M,
     LABORATORY_M,

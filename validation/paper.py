@@ -22,7 +22,7 @@ from lbacal_core.curves.covariance import Budget
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.grids import Floats
-from lbacal_core.instrument.power_unit import RESISTANCE_OHM
+from lbacal_core.instrument.matching import RESISTANCE_OHM
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.traces.voltage import calibrate_trace
 from lbacal_paper.reference_source import HEIGHT_M, LABORATORY_M, LEFT_OF_FLOOR, floor_factor, near_field_factor

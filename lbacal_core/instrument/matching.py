@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 
 from lbacal_core.errors import BadInputError, MissingExtraError, UnreadableFileError
 from lbacal_core.grids import Floats, interpolate
-from lbacal_core.instrument.power_unit import RESISTANCE_OHM
 
 Impedance = NDArray[np.complex128]
 """Ohm, shape (freq,)."""
+RESISTANCE_OHM = 50.0
+"""R_r of eq. total_sky_power_eq: one constant, which cancels in C; the same as the default of spectra files."""
 T_0 = 290.0
 """Temperature at which noise figures are defined, K."""
 

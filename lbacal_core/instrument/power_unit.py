@@ -6,10 +6,9 @@ import numpy as np
 from scipy.constants import Boltzmann, mu_0, speed_of_light
 
 from lbacal_core.grids import Floats
+from lbacal_core.instrument.matching import RESISTANCE_OHM
 
 IMPEDANCE_OF_FREE_SPACE = mu_0 * speed_of_light
-RESISTANCE_OHM = 50.0
-"""R_r of eq. total_sky_power_eq: one constant, which cancels in C; the same as the default of spectra files."""
 
 
 def power_per_kelvin_sr(frequency_mhz: Floats) -> Floats:

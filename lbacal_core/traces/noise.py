@@ -6,7 +6,7 @@ import numpy as np
 
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, guess_widths
-from lbacal_core.instrument.power_unit import RESISTANCE_OHM
+from lbacal_core.instrument.matching import RESISTANCE_OHM
 
 
 def draw_noise(

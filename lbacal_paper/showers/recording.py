@@ -11,7 +11,7 @@ from lbacal_core.antenna.model import AntennaModel, Complexes
 from lbacal_core.antenna.unfolding import jones_matrix
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.instrument.power_unit import RESISTANCE_OHM
+from lbacal_core.instrument.matching import RESISTANCE_OHM
 from lbacal_paper.showers.signals import SAMPLE_RATE_MHZ, SAMPLES, Signals
 
 BACKGROUND_BLOCKS = 100

@@ -5,7 +5,7 @@ from lbacal_core.calibration.antenna_noise import draw_noise
 from lbacal_core.curves.curves import CONVERGED, CalibrationCurve, Parameter
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.instrument.power_unit import RESISTANCE_OHM
+from lbacal_core.instrument.matching import RESISTANCE_OHM
 from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.simulation.simulation import Simulation, noise_at_input
 from lbacal_core.sky.table import SkyPower
