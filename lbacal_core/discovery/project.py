@@ -127,7 +127,8 @@ class EventGains:
             moments = amounts[:, :, None] * amounts[:, None, :] + variance
             first = (front - seeds[1]) * amounts[:, 1:2] + (front * self.slope - seeds[2]) * amounts[:, 2:3]
             together = moments[:, 0, 1, None] + self.slope * (moments[:, 0, 2] + moments[:, 1, 2])[:, None]
-            nodes = amounts[:, 2, None] + NODES * np.sqrt(variance[:, 2, 2, None])
+            # beside a huge gain, what is left of a variance is a rounding error of either sign
+            nodes = amounts[:, 2, None] + NODES * np.sqrt(np.maximum(variance[:, 2, 2, None], 0.0))
             moved = NODE_WEIGHTS @ self.lower_by(nodes) - self.slope * amounts[:, 2:3]
             before, beyond = beyond, np.asarray(first + front * (together + moved))
             if np.abs(beyond - before).max() < SETTLED:

@@ -312,6 +312,19 @@ def test_what_a_resonance_that_moves_does_on_average_is_known_from_how_far_it_mo
     assert np.corrcoef(of_beyond, of_truth)[0, 1] > 0.7  # each event's shift is known to half of it
 
 
+def test_gains_far_larger_than_the_noise_leave_no_error_that_is_not_a_number(station, moved):
+    """A fit that ran away ended in `Eigenvalues did not converge`: a variance was a rounding error below 0."""
+    gains, residual, _ = moved
+    residuals = split_residuals(station, residual, gains.vectors)
+    shape, rng = residuals.levels.common_sum.shape, np.random.default_rng(14)
+    for _ in range(20):
+        root = 1e4 * rng.standard_normal((shape[1], shape[1]))
+        shared = np.broadcast_to(root @ root.T, shape)
+        quiet = replace(residuals.levels, common_sum=shared, path_shared=np.zeros_like(residuals.levels.path_shared))
+        beyond = gains.beyond_first_order(station, replace(residuals, levels=quiet), residuals.mean)
+        assert np.all(np.isfinite(beyond))
+
+
 def test_a_burst_is_no_gain_however_strong_it_is(station, moved):
     gains, residual, _ = moved
     burst = residual.copy()
