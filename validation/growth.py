@@ -290,6 +290,14 @@ def judge(rows: Sequence[Row]) -> list[Found]:
 
 
 PARTS = tuple(
-    Part(kind, partial(compare, kind), judge, 1, headlines=("ratio",), has_chance=False, is_parallel=False)
+    Part(
+        kind,
+        partial(compare, kind),
+        judge,
+        1,
+        headlines=("ratio",) if kind == "postgresql" else (),
+        has_chance=False,
+        is_parallel=False,
+    )
     for kind in ("sqlite", "postgresql")
 )

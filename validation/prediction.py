@@ -96,5 +96,5 @@ def judge_station(rows: Sequence[Row]) -> list[Found]:
 
 PARTS = (
     Part("events", predict_events, judge_events, 24, headlines=("chi2",)),
-    Part("together", draw_station, judge_station, 24, headlines=("together",)),
+    Part("together", draw_station, judge_station, 24),
 )
