@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from lbacal.pages.report import embed, fill_report
+from lbacal_core.audit.record import RecordError
 from lbacal_core.causes.axes import AXES, Axis, axis_named
 from lbacal_core.causes.cause import signature
 from lbacal_core.discovery.antennas import AntennaScore
@@ -80,7 +81,7 @@ def draw_residual_maps(report: StationReport, target: Target | None, axes: Seque
 
 
 def draw_value(report: StationReport, value: FoundValue, on: Any = None) -> Figure:
-    """What was found in a station: a cause along time or sidereal time, or an antenna against the others.
+    """What was found in a station: a cause along time or sidereal time, an antenna against the others, a wrong record.
 
     What matters most of it is drawn on axes, if they are given.
     """
@@ -91,6 +92,8 @@ def draw_value(report: StationReport, value: FoundValue, on: Any = None) -> Figu
         figure, panels = on.figure, [on]
     if isinstance(value, Finding):
         _draw_profiles(report, value, panels)
+    elif isinstance(value, RecordError):
+        _draw_record(panels[0], report)
     else:
         _draw_antenna(panels[0], value, report.station.conditions.frequency_mhz)
     return figure
@@ -126,6 +129,18 @@ def _draw_profiles(report: StationReport, finding: Finding, panels: Any) -> None
     panels[1].errorbar(frequency, 100 * across @ observed, scatter, **POINTS)
     panels[1].plot(frequency, 100 * across @ expected, color=RED)
     panels[1].set(xlabel="frequency (MHz)", ylabel="relative power along that profile (%)")
+
+
+def _draw_record(axes: Any, report: StationReport) -> None:
+    """The mean residual of all paths and channels along sidereal time, by the record as it was and put right."""
+    for model, label, colour in ((report.as_recorded, "as recorded", RED), (report.first, "put right", "#2b6cb0")):
+        if model is not None:
+            lst = model.station.conditions.lst_hours
+            mean, error = _bins(lst, model.baseline.residual.mean(axis=(0, 2)))
+            axes.errorbar(_centres(lst), 100 * mean, 100 * error, **{**POINTS, "color": colour}, label=label)
+    axes.axhline(0.0, lw=0.8, color="#888")
+    axes.set(xlabel="local sidereal time (h)", ylabel="power beside the fitted chain (%)")
+    axes.legend()
 
 
 def _draw_antenna(axes: Any, score: AntennaScore, frequency_mhz: Floats) -> None:
@@ -280,6 +295,7 @@ def _station(report: StationReport) -> dict[str, Any]:
         "paths": len(report.station.antenna),
         "events": len(report.station.event_id),
         "findings": [_finding(report, finding, is_named=finding in report.findings) for finding in shown],
+        "record": [{"sentence": one.sentence, "figure": embed(draw_value(report, one))} for one in report.record],
         "antennas": [_antenna(report, score) for score in report.antennas],
         "structure": embed(draw_structure(report, structure)) if structure else None,
         "maps": embed(draw_residual_maps(report, None, [axis_named(name) for name in ("lst", "utc", "date")])),

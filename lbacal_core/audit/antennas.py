@@ -346,7 +346,7 @@ def tell_exchanged(station: AuditedStation, exchange: ExchangeOdds) -> list[Line
         found = tuple(int(a) for a in station.antennas[exchanged])
         sentence = f"X and Y are exchanged at {_list_antennas(found)}{_describe(station, exchange)}"
         least = float(exchange.odds[exchange.odds > CERTAIN].min())
-        lines.append(Line("exchange", WRONG, station.name, sentence, antennas=found, log_odds=least))
+        lines.append(Line("exchange", WRONG, station.name, sentence, found, log_odds=least, kind="exchange"))
     unknown = np.abs(exchange.odds) <= CERTAIN
     if unknown.any():
         silent = tuple(int(a) for a in station.antennas[exchange.rows[unknown]])

@@ -32,6 +32,8 @@ class Line:
         Checks of which the data cannot say which one is wrong, where there are several.
     sentence
         The answer in words, and for `undecided` what would decide.
+    kind
+        The `Possibility` that is better than the record.
     """
 
     check: str
@@ -45,6 +47,7 @@ class Line:
     sigma: float | None = None
     unit: str = ""
     candidates: tuple[str, ...] = ()
+    kind: str = ""
 
     def as_dict(self) -> dict[str, Any]:
         """The line as JSON values."""
@@ -181,7 +184,19 @@ def conclude(
     sentence = "; or ".join(describe(one) for one in alike)
     unit = {"clock": "h", "arms": "deg"}.get(best.kind, "")
     value = best.value if unit else None
-    return [Line(best.check, WRONG, station, sentence, log_odds=gain, value=value, sigma=best.sigma, unit=unit)]
+    return [
+        Line(
+            best.check,
+            WRONG,
+            station,
+            sentence,
+            log_odds=gain,
+            value=value,
+            sigma=best.sigma,
+            unit=unit,
+            kind=best.kind,
+        )
+    ]
 
 
 def _tell_shift(station: str, clock: Possibility, signs: Sequence[Possibility], gain: float) -> Line:
@@ -199,7 +214,9 @@ def _tell_shift(station: str, clock: Possibility, signs: Sequence[Possibility], 
     any_other += f"{HOUR_DEG * size:.1f} deg too far {of_longitude}"
     sentence = f"{describe(clock)}: {'; or '.join([*named, any_other])}. {WHAT_DECIDES}"
     check = known[0][1] if known else clock.check
-    return Line(check, WRONG, station, sentence, log_odds=gain, value=value, sigma=clock.sigma, unit="h")
+    return Line(
+        check, WRONG, station, sentence, log_odds=gain, value=value, sigma=clock.sigma, unit="h", kind=clock.kind
+    )
 
 
 def _far(hours: float, sigma: float) -> float:

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,21 +48,33 @@ Owner = tuple[str | None, int | None]
 """Station and antenna of a curve."""
 
 
-def name_mistakes(found: Sequence[tuple[CalibrationCurve, Floats]], mistakes: Sequence[Mistake]) -> dict[Owner, str]:
+class Tried(NamedTuple):
+    """The gain of each mistake in a path, and whether noise and the freedom of the sky explain what it leaves."""
+
+    gain: Floats
+    fits: NDArray[np.bool_]
+
+
+UNDESCRIBED = "letters, times or antenna, none as tried"
+"""What is said where the best mistake describes the data better, and does not describe them."""
+
+
+def name_mistakes(found: Sequence[tuple[CalibrationCurve, Tried]], mistakes: Sequence[Mistake]) -> dict[Owner, str]:
     """The likely mistake of each antenna, station or array where there is one: its dipoles share it.
 
     Parameters
     ----------
     found
-        Curves with the gain of each mistake, shape (mistake,).
+        Curves with what was tried, each of shape (mistake,).
     """
-    total: dict[Owner, Floats] = {}
-    for curve, gain in found:
-        total[curve.owner] = total.get(curve.owner, np.zeros(len(mistakes))) + gain
+    total: dict[Owner, Tried] = {}
+    for curve, own in found:
+        before = total.get(curve.owner, Tried(np.zeros(len(mistakes)), np.ones(len(mistakes), dtype=bool)))
+        total[curve.owner] = Tried(before.gain + own.gain, before.fits & own.fits)
     return {
-        owner: mistakes[int(np.argmax(gain))].name
-        for owner, gain in total.items()
-        if gain.size and float(np.max(gain)) > LARGEST_GAIN
+        owner: mistakes[best].name if tried.fits[best] else UNDESCRIBED
+        for owner, tried in total.items()
+        if tried.gain.size and tried.gain[best := int(np.argmax(tried.gain))] > LARGEST_GAIN
     }
 
 
@@ -102,6 +115,13 @@ class ChainTest:
     chi2: Floats
     dof: Floats
     gain: Floats
+
+    @property
+    def tried(self) -> list[Tried]:
+        """What was tried in each path."""
+        # the gain of a mistake is half of what it takes from chi^2
+        fits = ~is_improbable(self.chi2[:, None] - 2.0 * self.gain, self.dof[:, None])
+        return [Tried(*one) for one in zip(self.gain, fits, strict=True)]
 
     @property
     def per_dof(self) -> Floats:

@@ -17,6 +17,7 @@ from threadpoolctl import threadpool_limits
 from lbacal_core.calibration.chain_test import (
     LIKELY_MISTAKE,
     FittedPaths,
+    Tried,
     describe_mistakes,
     is_improbable,
     name_mistakes,
@@ -139,7 +140,7 @@ def fit_calibration(
         batches = list(pool.map(fit_paths, paths_of_scope(spectra, simulation, scope, cable_of)))
     fitted = [one for curves, *_ in batches for one in curves]
     fitted.sort(key=lambda c: (c[0].station or "", -1 if c[0].antenna is None else c[0].antenna, c[0].dipole or ""))
-    mistaken = {} if prior is None else name_mistakes([(curve, gain) for curve, gain, _ in fitted], prior.mistakes)
+    mistaken = {} if prior is None else name_mistakes([(curve, tried) for curve, tried, _ in fitted], prior.mistakes)
     following = stations_that_follow([waves for *_, waves in batches])
     curves = _share_misfits(
         [
@@ -185,7 +186,7 @@ def _digest_of(instrument: Instrument, spectra: Spectra, scope: str) -> str:
 
 
 _Fitted = tuple[
-    list[tuple[CalibrationCurve, Floats, ReferenceChain | None]],
+    list[tuple[CalibrationCurve, Tried, ReferenceChain | None]],
     Sequence[Anomaly],
     KeptLines,
     tuple[str | None, GainWaves | None],
@@ -217,8 +218,8 @@ def _losses(paths: Paths, instrument: Instrument, cable_of: Cables) -> Floats:
 
 def _fit_paths(
     paths: Paths, sky: Floats, simulation: Simulation, loss: Floats, beside: Sequence[Beside]
-) -> tuple[list[tuple[CalibrationCurve, Floats]], Lines, GainWaves | None]:
-    """The chain fitted to the lines of a batch of paths, with the status of each and the gain of each mistake.
+) -> tuple[list[tuple[CalibrationCurve, Tried]], Lines, GainWaves | None]:
+    """The chain fitted to the lines of a batch of paths, with the status of each and the mistakes tried.
 
     And what their mean says of gains along LST, where the sky may be wrong.
     """
@@ -260,8 +261,8 @@ def _fit_paths(
     dof = _count_dof(solution, is_free, terms)
     is_misfit = set(good[tested.is_misfit | (is_odd & is_unlikely)].tolist())
     profiled = dict(zip(good.tolist(), tested.per_dof.tolist(), strict=True))
-    gains = dict(zip(good.tolist(), tested.gain, strict=True))
-    none = np.zeros(tested.gain.shape[1])
+    tried = dict(zip(good.tolist(), tested.tried, strict=True))
+    none = Tried(np.zeros(tested.gain.shape[1]), np.ones(tested.gain.shape[1], dtype=bool))
     curves = []
     for k, (station, antenna, dipole) in enumerate(paths.owners):
         is_good, j = bool(has_c[k]), int(np.searchsorted(at, k))
@@ -291,7 +292,7 @@ def _fit_paths(
             merged=describe_merged(solution, j, terms) if is_good else None,
             repeated=together.describe(j) if is_good else None,
         )
-        curves.append((curve.as_misfit() if k in is_misfit else curve, gains.get(k, none)))
+        curves.append((curve.as_misfit() if k in is_misfit else curve, tried.get(k, none)))
     return curves, lines, waves
 
 

@@ -261,6 +261,9 @@ def _adopt_finding(finding: Mapping[str, Any], place: str, since_unix: int | Non
         cause, size, where = finding["cause"], finding["size"], finding["where"]
         if "station" not in where:
             raise BadInputError(place, "a finding of spectra, which names a station", "one of an LST curve")
+        if finding["evidence"].get("of_record"):
+            expected = "a cause that a model can have; put the record right instead, and investigate again"
+            raise BadInputError(place, expected, f"{cause} of the record")
         if size["sigma"] is None:
             raise BadInputError(place, "a size with an error", f"{cause} at {size['value']}")
         begin = _parse_instant(where["dates"][0]) if since_unix is None else since_unix

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from lbacal_core.calibration.chain_form import FORM_OF_CHAIN, PUBLISHED_FORM, ChainForm, compare_forms
+from lbacal_core.calibration.chain_test import LIKELY_MISTAKE
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.calibration.windows import leave_out_changed, set_apart
 from lbacal_core.calibration.years import Beside
@@ -44,6 +45,7 @@ from lbacal_core.discovery.station import Station, model_modes
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.chain import ChainTerms
 from lbacal_core.linear import root_of
+from lbacal_core.simulation.prior import OTHER_ANTENNA
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.spectra import Spectra
 
@@ -174,7 +176,13 @@ class FittedCauses:
             of the size does to C is then taken in proportion to what the size does, which saves a fit.
         """
         report = fit_calibration(self.spectra, self.simulation, scope, beside)
-        report = replace(report, provenance=report.provenance.with_note(FORM_OF_CHAIN, str(self.form)))
+        provenance = report.provenance.with_note(FORM_OF_CHAIN, str(self.form))
+        mistakes = provenance.notes.get(LIKELY_MISTAKE, OTHER_ANTENNA).split("; ")
+        if not all(one.startswith(OTHER_ANTENNA) for one in mistakes):
+            from lbacal_core.audit.record import name_mistake  # what few fits need, no fit has to import
+
+            provenance = provenance.with_note(LIKELY_MISTAKE, name_mistake(self.spectra, self.simulation))
+        report = replace(report, provenance=provenance)
         if self.model.is_plain:
             return report
         curves = list(report.curves)

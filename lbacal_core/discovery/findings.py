@@ -377,7 +377,7 @@ def _finding(without: FittedModel, last: FittedModel, number: int, score: Score,
         chi2_after=chi2_after,
         dof=dof,
         held_out_gain=gain_of(without, hypothesis, score),
-        calibration_change=_calibration_change(without, last, hypothesis.target),
+        calibration_change=change_of_c(without, last, hypothesis.target),
         over_noise=average_size(last, number),
     )
 
@@ -390,7 +390,7 @@ def _models_without(models: Sequence[FittedModel], number: int, adopted: int) ->
     return kept
 
 
-def _calibration_change(before: FittedModel, after: FittedModel, target: Target) -> Floats:
+def change_of_c(before: FittedModel, after: FittedModel, target: Target) -> Floats:
     """Relative change of C of the target's paths, shape (path, freq): C is proportional to slope^(-1/2)."""
     old, new = before.baseline.solution.x[target.is_member], after.baseline.solution.x[target.is_member]
     # A slope that the noise makes negative, in the weakest channels, has no C to change.

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from lbacal_core.audit.record import RecordError
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import Template
 from lbacal_core.discovery.antennas import AntennaScore
@@ -24,7 +25,7 @@ KNOWN_CHANGE = (0.5, 2.0)
 """Factors on the power between which a structure may be taken out of the data."""
 
 
-FoundValue = Finding | AntennaScore
+FoundValue = Finding | AntennaScore | RecordError
 """What stands behind a finding of a report."""
 
 
@@ -137,7 +138,7 @@ def _add_left_open(content: dict[str, Any], reports: Sequence[StationReport]) ->
     for station, report in zip(stations, reports, strict=True):
         for number in station["findings"]:
             found = find_value(report, findings[number])
-            if isinstance(found, Finding):  # the comparison of antennas moves no C
+            if isinstance(found, Finding):  # of antennas that are compared and of records, nothing is open
                 names = [name for name, _ in found.indistinguishable]
                 without = _without(report.last, found.hypothesis)
                 hypotheses = weigh_alternatives(without, report.last, found.hypothesis, names)
@@ -160,6 +161,7 @@ def find_value(report: StationReport, finding: Mapping[str, Any]) -> FoundValue:
         ((one.hypothesis.cause.identifier, one.hypothesis.target.label, one.size[0]), one) for one in report.findings
     ]
     values += [((one.cause.identifier, one.target.label, one.size), one) for one in report.antennas]
+    values += [((one.cause.identifier, one.label, one.size[0]), one) for one in report.record]
     return next(value for name, value in values if name == named)
 
 

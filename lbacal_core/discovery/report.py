@@ -5,17 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
+from functools import partial
 from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from lbacal_core.audit.record import RecordError, put_right
 from lbacal_core.calibration.chain_form import FORM_OF_CHAIN, compare_forms
 from lbacal_core.causes.axes import describe_term
 from lbacal_core.causes.cause import Description
-from lbacal_core.discovery.adopted import describe_size
+from lbacal_core.discovery.adopted import describe_size, fit_adopted
 from lbacal_core.discovery.antennas import AntennaScore
-from lbacal_core.discovery.findings import Finding
+from lbacal_core.discovery.findings import Finding, change_of_c
 from lbacal_core.discovery.hypothesis import Target, sigma_of
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.residual_structure import ResidualStructure
@@ -31,6 +33,7 @@ from lbacal_core.spectra.spectra import Spectra
 VERDICTS = CONSISTENT, EXPLAINED, UNEXPLAINED = "consistent", "explained", "unexplained"
 BY_RATIO = "acts by ratio: P_sky times own(with)/own(without), from the package's own sky and antenna model"
 OPEN_NOISE = "the data hardly tell the noise in front of the receiver from that behind it, on which the size depends"
+PUT_RIGHT = "of the record: put it right, no model can adopt it; all else in this report is of the record put right"
 NOISY = 1.1
 """Noise of a path over the typical one beyond which the report names the path."""
 
@@ -41,6 +44,7 @@ def describe(reports: Sequence[StationReport], provenance: Provenance) -> dict[s
     for report in reports:
         of_station = [_finding(finding, report) for finding in report.findings]
         of_station += [_antenna_finding(score, report) for score in report.antennas]
+        of_station += [_record_finding(one, report) for one in report.record]
         found += [(finding, report.station.name) for finding in of_station]
     found.sort(key=lambda pair: -pair[0]["significance_sigma"])
     stations: list[dict[str, Any]] = [
@@ -75,7 +79,7 @@ def describe(reports: Sequence[StationReport], provenance: Provenance) -> dict[s
 def _verdict(report: StationReport) -> str:
     if report.structure is not None:
         return UNEXPLAINED
-    return EXPLAINED if report.findings or report.antennas else CONSISTENT
+    return EXPLAINED if report.findings or report.antennas or report.record else CONSISTENT
 
 
 def _noise(report: StationReport) -> dict[str, Any]:
@@ -172,6 +176,35 @@ def _antenna_finding(score: AntennaScore, report: StationReport) -> dict[str, An
             "target": score.target.label,
             "correlations": dict(score.similar),
             "note": score.cause.note(score.parameters, score.size),
+        },
+    )
+
+
+def _record_finding(error: RecordError, report: StationReport) -> dict[str, Any]:
+    """What is wrong with the record; its gain is that of the record put right, all else of the model being fitted."""
+    station, before, after = report.station, report.as_recorded or report.first, report.first
+    is_member = np.isin(station.antenna, error.line.antennas) if error.line.antennas else station.antenna >= 0
+    target = Target("antenna" if error.line.antennas else "station", error.label, is_member)
+    odds = error.line.log_odds or 0.0
+    chi2_after, dof = after.linear.chi_squared()
+    chi2_before, _ = before.linear.with_levels(after.linear.residuals.levels).chi_squared()
+    return tell_finding(
+        error.cause,
+        indistinguishable=[],
+        size=error.size,
+        parameters={},
+        chance=((2.0 * odds) ** 0.5, float(np.exp(-odds))),
+        where=_where(report, target, {}),
+        gain=tell_gain(chi2_before, chi2_after, dof),
+        change=change_of_c(before, after, target),
+        sentence=error.sentence,
+        evidence={
+            "score_sigma": (2.0 * odds) ** 0.5,
+            "trials": 1.0,
+            "target": error.label,
+            "correlations": {},
+            "note": PUT_RIGHT,
+            "of_record": True,
         },
     )
 
@@ -378,18 +411,17 @@ def investigate(
     # The products are small: threads of the linear algebra would wait for each other.
     with threadpool_limits(1):
         stations = gather_stations(spectra, simulation)
-        reports = [
-            search_station(
-                station,
-                modes=None if known is None else model_modes(station, known),
-                stations=len(stations),
-                seed=seed,
-                policy=policy,
-                progress=progress,
-                model=model,
-            )
-            for station in stations
-        ]
+        search = partial(
+            search_station, stations=len(stations), seed=seed, policy=policy, progress=progress, model=model
+        )
+        reports = []
+        for station in stations:
+            report = search(station, modes=None if known is None else model_modes(station, known))
+            if report.structure is not None and simulation.is_own_sky:
+                progress(f"{station.name}: asking whether its record is wrong")
+                own = spectra.select(np.flatnonzero(spectra.station == station.name))
+                report = _search_put_right(own, simulation, search) or report
+            reports.append(report)
     provenance = Provenance(
         inputs={
             "spectra": spectra.digest(),
@@ -404,3 +436,28 @@ def investigate(
     provenance = replace(provenance, inputs={**provenance.inputs, "model": model.id})
     adopted = [describe_size(size) for report in reports for size in report.adopted]
     return {**describe(reports, provenance), "model": model.to_text(), "adopted": adopted}, reports
+
+
+def _search_put_right(
+    spectra: Spectra, simulation: Simulation, search: Callable[..., StationReport]
+) -> StationReport | None:
+    """The report of one station with its record put right; None where the record is not wrong, or that does not help.
+
+    The record is wrong where the audit says so and nothing is then left: structure that stays is of something else.
+    """
+    right = put_right(spectra, simulation)
+    if right is None:
+        return None
+    known = right.simulation.differences
+    (station,) = gather_stations(right.spectra, right.simulation)
+    report = search(station, modes=None if known is None else model_modes(station, known))
+    if report.structure is not None:
+        return None
+    searched = set(zip(report.station.antenna.tolist(), report.station.dipole.tolist(), strict=True))
+    paths = zip(right.spectra.antenna.tolist(), right.spectra.dipole.tolist(), strict=True)
+    same = np.flatnonzero([path in searched for path in paths])
+    (as_recorded,), known = gather_stations(right.as_recorded.select(same), simulation), simulation.differences
+    modes = None if known is None else model_modes(as_recorded, known)
+    before = fit_adopted(as_recorded, simulation.causes, modes).model
+    ill = [f"antenna {one.antennas[0]} {one.dipole}" for one in right.left_out]
+    return replace(report, record=right.errors, as_recorded=before, deaf=sorted({*report.deaf, *ill}))

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lbacal_core.audit.record import RecordError
 from lbacal_core.causes.axes import Axis
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import Cause, Conditions, Template, signature
@@ -62,6 +63,8 @@ class StationReport:
         Number of stations that were searched together.
     adopted
         The adopted causes with their sizes in these data.
+    record
+        What was wrong with the record, which is put right in all else; and the model under the record as it was.
     """
 
     station: Station
@@ -79,6 +82,8 @@ class StationReport:
     policy: Policy
     stations: int
     adopted: Sequence[FittedSize] = ()
+    record: Sequence[RecordError] = ()
+    as_recorded: FittedModel | None = None
 
     def alpha_of(self, score: Score | AntennaScore) -> float:
         """p-value below which a score is significant in this search."""

@@ -95,6 +95,8 @@ def list_other_antennas(instrument: Instrument, power: Mapping[str, Floats], lst
 # Mistakes that users have made, as changes of P_sky.
 
 CLOCK_HOURS = (-2, -1, 1, 2)
+OTHER_ANTENNA = "the antenna is like"
+"""How the mistake begins that no record can be put right for."""
 OTHER_ANTENNAS = ("hamaker", "short-dipole", "quarter-wave")
 """A dipole over lossy ground, a short one over a conducting plane, and one whose height grows with the wavelength."""
 
@@ -142,7 +144,7 @@ def list_mistakes(instrument: Instrument, power: Mapping[str, Floats], lst_hours
         late = {dipole: np.log(np.roll(one, round(-hours * steps), axis=0) / one) for dipole, one in power.items()}
         mistakes.append(Mistake(f"times {abs(hours)} h too {'late' if hours < 0 else 'early'}", late))
     others = exchange_antennas(instrument, power, lst_hours, {name: name for name in OTHER_ANTENNAS})
-    return [*mistakes, *(Mistake(f"the antenna is like {one.name}", one.change, one.name) for one in others)]
+    return [*mistakes, *(Mistake(f"{OTHER_ANTENNA} {one.name}", one.change, one.name) for one in others)]
 
 
 # What the package's own sky power may be wrong by: other models of sky and antenna, and smooth departures of both.

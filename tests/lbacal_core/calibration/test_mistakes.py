@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.antenna.ideal import ShortDipole
-from lbacal_core.calibration.chain_test import LARGEST_GAIN, describe_mistakes, name_mistakes
+from lbacal_core.calibration.chain_test import LARGEST_GAIN, UNDESCRIBED, Tried, describe_mistakes, name_mistakes
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.simulation.prior import Mistake, list_mistakes, list_other_antennas, sky_prior
@@ -58,10 +58,14 @@ def curve(antenna, dipole):
 
 def test_the_dipoles_of_an_antenna_share_a_mistake():
     mistakes = [Mistake(name, {}) for name in ("a", "b")]
-    half = np.array([-5.0, 0.6 * LARGEST_GAIN])
-    found = [(curve(1, "X"), half), (curve(1, "Y"), half), (curve(2, "X"), half), (curve(3, "X"), 3 * half[::-1])]
+    half, both = np.array([-5.0, 0.6 * LARGEST_GAIN]), np.array([True, True])
+    gains = {(1, "X"): half, (1, "Y"): half, (2, "X"): half, (3, "X"): 3 * half[::-1]}
+    found = [(curve(*path), Tried(gain, both)) for path, gain in gains.items()]
     mistaken = name_mistakes(found, mistakes)
     assert mistaken == {("CS002", 1): "b", ("CS002", 3): "a"}
+    # the best mistake must describe the data of both dipoles: a wave along LST was named another antenna
+    found[1] = (found[1][0], Tried(half, np.array([True, False])))
+    assert name_mistakes(found, mistakes) == {("CS002", 1): UNDESCRIBED, ("CS002", 3): "a"}
     assert describe_mistakes({**mistaken, ("CS002", 4): "b"}) == "b (CS002 antenna 1 and 1 more); a (CS002 antenna 3)"
 
 

@@ -85,7 +85,7 @@ def test_the_best_template_has_a_positive_size_and_its_scatter_is_weighed(z, siz
 
 def test_a_finding_is_told_by_its_own_hypothesis(monkeypatch):
     asked = []
-    for name, value in (("find_indistinguishable", []), ("gain_of", 5.0), ("_calibration_change", EMPTY)):
+    for name, value in (("find_indistinguishable", []), ("gain_of", 5.0), ("change_of_c", EMPTY)):
         monkeypatch.setattr(findings, name, lambda *a, value=value, name=name: asked.append((name, a)) or value)
     monkeypatch.setattr(findings, "chi_squared_of", lambda *_: (3.0, 2.0, 1))
     monkeypatch.setattr(findings, "average_size", lambda _last, number: number)

@@ -20,7 +20,7 @@ from lbacal_core.causes.cause import Template, signature, spectral_signature
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.discovery import search
 from lbacal_core.discovery.antennas import AntennaScore, compare_antennas, compare_cable_names
-from lbacal_core.discovery.findings import _calibration_change, find_indistinguishable, refine
+from lbacal_core.discovery.findings import change_of_c, find_indistinguishable, refine
 from lbacal_core.discovery.hypothesis import Hypothesis, Target, list_targets
 from lbacal_core.discovery.noise import split_residuals
 from lbacal_core.discovery.policy import Policy
@@ -291,7 +291,7 @@ class Look:
 
     def change_of_c(self, fitted: Fitted) -> Floats:
         """Relative change of C that a finding of this effect claims, shape (path of its target, freq)."""
-        return _calibration_change(self.model, fitted.model, fitted.effect.target)
+        return change_of_c(self.model, fitted.model, fitted.effect.target)
 
     def similar_to(
         self, cause: str, template: Template, significance: float, target: str = "station"

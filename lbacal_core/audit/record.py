@@ -1,0 +1,153 @@
+"""What an audit finds wrong with a record, as causes of the catalogue; and the record put right.
+
+Letters, a clock, turned arms and a place are compared at what they may be instead, as they stand: nothing of them is
+linear in a size. What then is said of the sky is said of the record put right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lbacal_core.audit.audit import audit
+from lbacal_core.audit.verdict import WRONG, Line
+from lbacal_core.causes.catalogue import CAUSES
+from lbacal_core.causes.cause import Description
+from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.instrument.sidereal import SIDEREAL_DAY_S
+from lbacal_core.simulation.simulation import Simulation
+from lbacal_core.spectra.spectra import Spectra
+
+SITE = Description(
+    "site",
+    "",
+    "the station stands elsewhere than its record says",
+    "compare the coordinates on record with a map; the transit of the Sun or of a pulsar tells the longitude by itself",
+)
+"""It has no size, and is no cause that a model could adopt."""
+_OF_KIND = {
+    "exchange": "dipole_swap",
+    "arms": "dipole_azimuth",
+    "clock": "lst_offset",
+    "longitude sign": "lst_offset",
+    "latitude sign": SITE.identifier,
+    "latitude for longitude": SITE.identifier,
+}
+_BY_NAME: dict[str, Description] = {one.identifier: one for one in (*CAUSES, SITE)}
+EXCHANGED = 1.0
+"""Size of `dipole_swap` where letters are exchanged."""
+
+
+@dataclass(frozen=True)
+class RecordError:
+    """One thing that is wrong in a record: a cause with its size, of a station or of some antennas."""
+
+    line: Line
+
+    @property
+    def cause(self) -> Description:
+        """What the catalogue calls it."""
+        return _BY_NAME[_OF_KIND[self.line.kind]]
+
+    @property
+    def size(self) -> tuple[float, float | None]:
+        """The size with its standard deviation, which letters and places have not."""
+        if self.line.value is None:
+            return EXCHANGED, None
+        return self.line.value, self.line.sigma
+
+    @property
+    def label(self) -> str:
+        """Of whom it is said, as the target of a finding is called."""
+        antennas = self.line.antennas
+        return f"antennas {', '.join(map(str, antennas))}" if antennas else "station"
+
+    @property
+    def sentence(self) -> str:
+        """The words of the audit, with its odds."""
+        odds = "" if self.line.log_odds is None else f" (ln odds {self.line.log_odds:+.0f} against the record)"
+        return f"In station {self.line.station}, {self.line.sentence}{odds}."
+
+
+@dataclass(frozen=True)
+class PutRight:
+    """The record of one station put right.
+
+    Attributes
+    ----------
+    errors
+        What was wrong with it.
+    left_out
+        Paths that do not work, which are left out, in words.
+    as_recorded
+        The spectra of the paths that work, under the record as it was.
+    """
+
+    errors: Sequence[RecordError]
+    left_out: Sequence[Line]
+    as_recorded: Spectra
+    spectra: Spectra
+    simulation: Simulation
+
+
+def put_right(spectra: Spectra, simulation: Simulation) -> PutRight | None:
+    """The record of one station put right where an audit finds it wrong; None where it finds nothing.
+
+    Parameters
+    ----------
+    spectra
+        Those of the station.
+    simulation
+        Under its own sky: one that is given has no other clock or arms to be computed for.
+    """
+    wrong = [
+        one for one in audit(spectra, simulation.instrument, others=simulation.models).lines if one.verdict == WRONG
+    ]
+    errors = [RecordError(one) for one in wrong if one.kind in _OF_KIND]
+    left_out = [one for one in wrong if one.dipole is not None and one.antennas]
+    if not errors and not left_out:
+        return None
+    ill = {(antenna, one.dipole) for one in left_out for antenna in one.antennas}
+    paths = zip(spectra.antenna.tolist(), spectra.dipole.tolist(), strict=True)
+    working = spectra.select(np.flatnonzero([path not in ill for path in paths]))
+    instrument, corrected = simulation.instrument, working
+    for one in errors:
+        corrected, instrument = _correct(corrected, instrument, one.line)
+    right = (
+        simulation if instrument is simulation.instrument else replace(simulation, instrument=instrument, given=None)
+    )
+    return PutRight(errors, left_out, working, corrected, right)
+
+
+NOT_NAMED = (
+    "P_sky with other letters or at other times would describe these data better, and the audit finds letters, clock, "
+    "arms and place right: something else follows sidereal time"
+)
+
+
+def name_mistake(spectra: Spectra, simulation: Simulation) -> str:
+    """What is wrong with the record of data that P_sky of another record describes better, in the audit's words."""
+    lines = audit(spectra, simulation.instrument, others=simulation.models).lines
+    errors = [RecordError(one) for one in lines if one.verdict == WRONG and (one.kind in _OF_KIND or one.candidates)]
+    return " ".join(one.sentence for one in errors) or NOT_NAMED
+
+
+def _correct(spectra: Spectra, instrument: Instrument, line: Line) -> tuple[Spectra, Instrument]:
+    """Spectra and instrument without one error of the record."""
+    if line.kind == "exchange":
+        one, other = instrument.dipoles
+        is_wrong = np.isin(spectra.antenna, line.antennas) if line.antennas else np.ones(len(spectra), dtype=bool)
+        exchanged = np.where(spectra.dipole == one, other, one)
+        return replace(spectra, dipole=np.where(is_wrong, exchanged, spectra.dipole)), instrument
+    if line.value is not None and line.unit == "h":
+        late_s = line.value * SIDEREAL_DAY_S / 24.0
+        return replace(spectra, time_unix=spectra.time_unix + late_s), instrument
+    if line.kind == "arms":
+        arms = {dipole: azimuth + (line.value or 0.0) for dipole, azimuth in instrument.dipole_azimuth_deg.items()}
+        return spectra, replace(instrument, dipole_azimuth_deg=arms)
+    here = instrument.at_station(line.station)
+    north, east = here.latitude_deg, here.longitude_deg
+    place = (-north, east) if line.kind == "latitude sign" else (east, north)
+    return spectra, replace(here, latitude_deg=place[0], longitude_deg=place[1])

@@ -1,0 +1,70 @@
+"""The record put right is the true one, whatever was wrong with it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lbacal_core.audit.record import NOT_NAMED, name_mistake, put_right
+from lbacal_core.simulation.simulation import Simulation
+from tests.lbacal_core.audit.test_audit import exchange, kill
+
+
+@pytest.fixture(scope="module")
+def known(low_band):
+    return replace(low_band, antenna="hamaker")
+
+
+@pytest.mark.long
+def test_nothing_is_put_right_where_nothing_is_wrong(spectra, known):
+    assert put_right(spectra, Simulation(known)) is None
+    assert name_mistake(spectra, Simulation(known)) == NOT_NAMED
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("chosen", [(1,), (0, 1, 2, 3, 4, 5)])
+def test_exchanged_letters_are_exchanged_back(spectra, known, chosen):
+    wrong = exchange(spectra, np.isin(spectra.antenna, chosen))
+    right = put_right(wrong, Simulation(known))
+    (error,) = right.errors
+    assert (error.cause.identifier, error.size) == ("dipole_swap", (1.0, None))
+    assert list(right.spectra.dipole) == list(spectra.dipole)
+    assert list(right.as_recorded.dipole) == list(wrong.dipole)
+    assert right.simulation.instrument is known
+    assert error.sentence.startswith("In station CS002, X and Y are exchanged at ")
+    assert "(ln odds +" in error.sentence
+
+
+def test_a_clock_that_is_off_is_set_by_its_size(spectra, known):
+    late = replace(spectra, time_unix=spectra.time_unix + 5 * 3600.0)
+    right = put_right(late, Simulation(known))
+    (error,) = right.errors
+    value, sigma = error.size
+    assert (error.cause.identifier, value) == ("lst_offset", pytest.approx(-5.0, abs=4 * sigma))
+    assert name_mistake(late, Simulation(known)) == error.sentence
+    left_h = (right.spectra.time_unix - spectra.time_unix) / 3600.0
+    assert np.abs(left_h).max() < 4 * sigma
+
+
+@pytest.mark.long
+def test_arms_are_turned_and_a_place_is_moved_back(spectra, known):
+    turned = replace(known, dipole_azimuth_deg={name: one + 40.0 for name, one in known.dipole_azimuth_deg.items()})
+    right = put_right(spectra, Simulation(turned))
+    (error,) = right.errors
+    value, sigma = error.size
+    assert (error.cause.identifier, value) == ("dipole_azimuth", pytest.approx(-40.0, abs=4 * sigma))
+    arms = right.simulation.instrument.dipole_azimuth_deg
+    assert arms == {name: pytest.approx(one, abs=4 * sigma) for name, one in known.dipole_azimuth_deg.items()}
+    south = replace(known, latitude_deg=-known.latitude_deg)
+    right = put_right(spectra, Simulation(south))
+    assert [one.cause.identifier for one in right.errors] == ["site"]
+    assert right.simulation.instrument.latitude_deg == known.latitude_deg
+    assert right.simulation.given is None
+
+
+def test_a_path_that_does_not_work_is_left_out(spectra, known):
+    dead = (spectra.antenna == 4) & (spectra.dipole == "X")
+    right = put_right(kill(spectra, dead), Simulation(known))
+    assert right.errors == []
+    assert [(one.antennas, one.dipole) for one in right.left_out] == [((4,), "X")]
+    assert len(right.spectra) == np.sum(~dead)
