@@ -13,7 +13,7 @@ from lbacal_core.readers import correlator, statistics, tables, visibilities
 from lbacal_core.readers.source import Channels, Source
 
 FORMATS = (
-    "visibilities (.uvh5, .uvfits)",
+    "visibilities (.uvh5, .uvfits, measurement sets)",
     "LOFAR 2.0 sub-band statistics (.h5)",
     "NenuFAR sub-band statistics (.fits)",
     "correlator files of SKA-Low's test stations (.hdf5), or a folder of them, one a channel",
@@ -50,6 +50,8 @@ def open_source(path: Path, station: str | None = None) -> Source:
 
 
 def _open_folder(path: Path, station: str) -> Source:
+    if visibilities.is_measurement_set(path):
+        return visibilities.open_visibilities(path)
     receivers = statistics.find_receiver_files(path)
     if receivers:
         return statistics.open_receiver_files(receivers, station)

@@ -1,8 +1,9 @@
-"""Autocorrelations of an interferometer (uvh5, FITS-UV, ...), read by pyuvdata."""
+"""Autocorrelations of an interferometer (uvh5, FITS-UV, measurement sets), read by pyuvdata."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,11 @@ UNIX_EPOCH_JD = 2440587.5
 DAY_S = 86_400.0
 
 
+def is_measurement_set(path: Path) -> bool:
+    """Whether a folder is a table of casacore, as a measurement set is (its file `table.dat`)."""
+    return (path / "table.dat").is_file()
+
+
 def open_visibilities(path: Path) -> Source:
     """Open a file of visibilities; only its autocorrelations are read.
 
@@ -28,10 +34,12 @@ def open_visibilities(path: Path) -> Source:
         from pyuvdata import UVData
     except ImportError as error:
         raise MissingExtraError(f"reading {path.name}", "import") from error
+    if path.is_dir() and find_spec("casacore") is None:
+        raise MissingExtraError(f"reading the measurement set {path.name}", "casa")
     try:
         data = UVData()
-        data.read(path, read_data=False, run_check=False)
-    except (OSError, ValueError, KeyError, IndexError) as error:
+        data.read(str(path), read_data=False, run_check=False)
+    except (OSError, RuntimeError, ValueError, KeyError, IndexError) as error:
         raise UnreadableFileError(f"{path}: pyuvdata cannot read it ({str(error)[:120]})") from error
     letters = [_LETTERS.get(int(number)) for number in data.polarization_array]
     if not any(letters):
@@ -76,10 +84,12 @@ def _read(
 ) -> Iterator[Integrations]:
     from pyuvdata import UVData
 
-    for start in range(0, times.size, TIMES_AT_ONCE):
+    # of a measurement set pyuvdata reads the whole, whatever is asked for: once is enough
+    at_once = times.size if path.is_dir() else TIMES_AT_ONCE
+    for start in range(0, times.size, at_once):
         data = UVData()
-        wanted = times[start : start + TIMES_AT_ONCE]
-        data.read(path, times=wanted, ant_str="auto", run_check=False)
+        wanted = times[start : start + at_once]
+        data.read(str(path), times=wanted, ant_str="auto", run_check=False)
         at = np.searchsorted(wanted, data.time_array)
         row = np.searchsorted(antennas, data.ant_1_array)
         power = np.full((wanted.size, antennas.size, len(polarisations), order.size), np.nan)
