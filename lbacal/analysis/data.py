@@ -196,7 +196,18 @@ def import_data(
     opened = open_source(Path(source), station)
     chosen = choose_channels(opened, None if instrument is None else core_of(instrument), limits, width)
     result = average_source(opened, interval, chosen)
-    return BackgroundSpectra.of(result.spectra, notes=[*opened.notes, *_describe(result, interval)])
+    if instrument is not None:
+        core_of(instrument).require_dipoles(result.spectra.dipole, opened.name, opened.arms_deg)
+    return BackgroundSpectra.of(
+        result.spectra, notes=[*opened.notes, _describe_arms(opened.arms_deg), *_describe(result, interval)]
+    )
+
+
+def _describe_arms(arms_deg: Mapping[str, float]) -> str:
+    if not arms_deg:
+        return "the data do not say where the arms point: the instrument's azimuths are taken for them"
+    arms = ", ".join(f"{letter} to {azimuth:g} deg" for letter, azimuth in arms_deg.items())
+    return f"the arms point where the data say: {arms}; an instrument with others is refused"
 
 
 def _describe(result: Averaged, interval_s: float | None) -> Iterator[str]:

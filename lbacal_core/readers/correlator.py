@@ -77,7 +77,6 @@ def open_correlator(files: Sequence[Path], name: str, station: str) -> Source:
         notes=(
             f"the station is called {station}",
             "the unit of the power is the correlator's: C becomes relative",
-            "the file does not say where the arms of X and Y point",
         ),
     )
 

@@ -58,6 +58,8 @@ class Source:
         Yields the integrations in order of time.
     notes
         What a user must know about the data, one sentence each.
+    arms_deg
+        Azimuths of the arms by dipole, north through east, deg, where the data say so.
     """
 
     name: str
@@ -68,6 +70,7 @@ class Source:
     dipole: NDArray[np.str_]
     read: Callable[[], Iterator[Integrations]]
     notes: tuple[str, ...] = ()
+    arms_deg: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         require_channels(self.name, self.frequency_mhz)
@@ -284,6 +287,7 @@ class _Sums:
             width_mhz=self.channels.width_mhz[is_kept],
             duration_s=duration_s,
             flag=flags if np.any(flags != "") else None,
+            arms_deg=self.source.arms_deg,
         )
         left_out = self.channels.frequency_mhz[~is_kept]
         counts = {str(flag): int(np.sum(flags == flag)) for flag in np.unique(flags[flags != ""])}

@@ -28,7 +28,7 @@ def is_measurement_set(path: Path) -> bool:
 def open_visibilities(path: Path) -> Source:
     """Open a file of visibilities; only its autocorrelations are read.
 
-    The x dipole of pyuvdata's convention becomes X, y becomes Y; a note says where their arms point.
+    The x feed of pyuvdata becomes X, y becomes Y; their angles, north through east, are the azimuths of the arms.
     """
     try:
         from pyuvdata import UVData
@@ -60,6 +60,7 @@ def open_visibilities(path: Path) -> Source:
         dipole=np.tile([str(letters[k]) for k in polarisations], antennas.size),
         read=lambda: _read(path, np.unique(data.time_array), antennas, polarisations, order),
         notes=_describe(data),
+        arms_deg=_find_arms(path, data.telescope),
     )
 
 
@@ -67,16 +68,23 @@ def _describe(data: Any) -> tuple[str, ...]:
     telescope = data.telescope
     latitude, longitude, height = telescope.location_lat_lon_alt_degrees
     notes = [f"{telescope.name} stands at {latitude:.4f} deg north, {longitude:.4f} deg east, {height:.0f} m"]
-    orientation = telescope.get_x_orientation_from_feeds() if telescope.feed_angle is not None else None
-    arm = {"north": "0 deg, that of Y at 90 deg", "east": "90 deg, that of Y at 0 deg"}.get(str(orientation))
-    if arm:
-        notes.append(f"the arm of X points to {arm} (the file's x orientation is {orientation})")
-    else:
-        notes.append("the file does not say where the arms of X and Y point")
     units = data.vis_units
     if units not in ("K", "Jy"):
         notes.append(f"the unit of the power is the correlator's ({units}): C becomes relative")
     return tuple(notes)
+
+
+def _find_arms(path: Path, telescope: Any) -> dict[str, float]:
+    """Azimuths of the arms by dipole, deg, empty where the file does not say: the feed angles of all antennas."""
+    if telescope.feed_angle is None:
+        return {}
+    feeds, angle = np.asarray(telescope.feed_array), np.degrees(telescope.feed_angle)
+    arms = {feed.upper(): np.unique(np.round(angle[feeds == feed], 3)) for feed in ("x", "y") if np.any(feeds == feed)}
+    unlike = [letter for letter, found in arms.items() if found.size > 1]
+    if unlike:
+        found = f"{arms[unlike[0]].min():g} to {arms[unlike[0]].max():g} deg"
+        raise BadInputError(f"{path}: arm of {unlike[0]}", "the same azimuth for all antennas", found)
+    return {letter: float(found[0]) for letter, found in arms.items()}
 
 
 def _read(

@@ -44,6 +44,15 @@ def test_an_instrument_from_its_parts_is_that_of_its_file(tmp_path):
     assert repr(made).startswith("<Instrument mine: 2 antennas with E, N, UP, 30 channels 50-79 MHz")
 
 
+@pytest.mark.parametrize("ask", [lbacal.fit, lbacal.investigate, lbacal.audit])
+def test_data_whose_arms_point_elsewhere_than_the_instrument_s_are_refused(found, ask):
+    turned = replace(found.spectra, arms_deg={"E": 270.4, "N": 44.0})
+    with pytest.raises(
+        BadInputError, match=r"arm of N: expected 0 deg, the azimuth of the arm N of .* mine, found 44 deg"
+    ):
+        ask(turned, found.instrument)
+
+
 def test_stages_of_a_chain_multiply_whatever_their_kind():
     nu = np.array([50.0, 60.0, 70.0])
     table = ([50, 70] * u.MHz, [0, -20] * u.dB)

@@ -38,5 +38,4 @@ data.flag_array[data.ant_1_array == 1, 1:5, 0] = True
 data.write_ms(str(folder / "a.ms"), force_phase=True)
 
 source = open_source(folder / "a.ms")
-sys.stdout.write("\n".join(source.notes))
 write_spectra(average(source, None, choose_channels(source, width_mhz=0.8)).spectra, folder / "S.h5")

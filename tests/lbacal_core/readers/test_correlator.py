@@ -72,6 +72,7 @@ def test_a_folder_with_a_channel_a_file_becomes_spectra_of_all_channels(tmp_path
     spectra = lbacal.import_data(tmp_path, average=60)
     assert spectra.frequency_mhz.tolist() == [50.0, 50.78125, 51.5625]
     assert len(spectra) == 2 * ANTENNAS
+    assert "the data do not say where the arms point: the instrument's azimuths are taken for them" in spectra.notes
     for a, dipole, power in zip(spectra.antenna, spectra.dipole, spectra.power, strict=True):
         for k, channel in enumerate((64, 65, 66)):
             assert power[k] == pytest.approx(expected[channel][:, a, "XY".index(dipole)].mean(), rel=1e-6)
