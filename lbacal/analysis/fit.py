@@ -145,17 +145,18 @@ def fit(
     audited = audit_quickly(measured, simulation.instrument)
     audited.require_power(measured.origin)
     tell(f"fit {len(measured)} spectra")
-    report = widen_by_open_terms(calibrate(measured, simulation, scope), read_open_terms(with_, "with_"))
+    seen = simulation.smeared(measured)
+    report = widen_by_open_terms(calibrate(measured, seen, scope), read_open_terms(with_, "with_"))
     report = audited.mark(report)
     tell("error of one event")
-    error = measure_error(report, measured, simulation)
+    error = measure_error(report, measured, seen)
     sentences = [] if error is None else [describe_error(error)]
     explained = [explain_chi2(report.curves)] if any(curve.c is not None for curve in report.curves) else []
     counted = sum(curve.status == CONVERGED for curve in report.curves)
     content = partial(_content_of, report, simulation)
 
     def draw() -> Figure:
-        return draw_fit(report, average_residuals(measured, report.curves, simulation), simulation)
+        return draw_fit(report, average_residuals(measured, report.curves, seen), seen)
 
     return Calibration(
         title=f"{simulation.instrument.name}: {counted} of {len(report.curves)} curves converged",

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_channels
 from lbacal_core.instrument.antennas import EXPECTED, are_dipole_names
-from lbacal_core.spectra.spectra import Spectra
+from lbacal_core.spectra.spectra import BLOCK_S, Spectra
 
 
 @dataclass(frozen=True)
@@ -91,8 +91,6 @@ class Source:
 # counts nowhere. An integration that is flagged as a whole counts only where its interval has no other: then the
 # average bears its flag. In memory are the averages and one block of integrations, whatever the length of the source.
 
-BLOCK_S = 1024 / 200e6
-"""Length of a block of LOFAR's transient buffer (1024 samples at 200 MHz), the unit of `blocks` in a spectra file."""
 WHOLE_SHARE = 0.5
 """An averaged channel must have recorded this share of what the best channel of its spectrum recorded."""
 EDGE_MHZ = 1e-9

@@ -23,6 +23,8 @@ from lbacal_core.spectra.quarters import Quarters, hash_quarters, hash_window, p
 FORMAT = "lbacal-spectra-1"
 EARLIEST_UNIX = datetime(2009, 1, 1, tzinfo=UTC).timestamp()
 DAY_S = 86_400.0
+BLOCK_S = 1024 / 200e6
+"""Length of a block of LOFAR's transient buffer (1024 samples at 200 MHz), the unit of `blocks` in a spectra file."""
 MAX_COVARIATES = 16
 """Covariates of one event."""
 _COVARIATE = re.compile(r"[a-z][a-z0-9_]{0,39}", re.ASCII)
@@ -216,6 +218,11 @@ class Spectra:
         """How many spectra were left out for their flags, in words."""
         words = ", ".join(f"{count} {flag}" for flag, count in self.left_out.items())
         return f"{sum(self.left_out.values())} spectra are flagged ({words})"
+
+    @property
+    def seconds(self) -> Floats:
+        """How long each spectrum was recorded, shape (row,), s: as given, else by its blocks."""
+        return self.duration_s if self.duration_s is not None else np.asarray(self.blocks * BLOCK_S)
 
     def channel_widths(self) -> Floats:
         """Widths of the channels, shape (freq,), MHz: as given, else 1 on a grid of whole MHz, else the spacing."""
