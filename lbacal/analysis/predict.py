@@ -13,10 +13,11 @@ import numpy as np
 from astropy import units as u
 from astropy.table import QTable
 
-from lbacal.analysis.fit import SHOWN_NAMES, Calibration
+from lbacal.analysis.fit import Calibration
 from lbacal.analysis.instrument import Described, simulation_of
 from lbacal.analysis.result import Result
 from lbacal.client import Client, format_time
+from lbacal.curve_table import SHOWN_NAMES
 from lbacal.instants import format_instant, parse_instant
 from lbacal.with_model import Extended, read_model
 from lbacal_core.calibration.prediction import EventNoise

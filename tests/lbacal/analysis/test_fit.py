@@ -118,6 +118,17 @@ def test_a_curve_is_a_table_with_units(found):
         found["S1", 7, "E"]
 
 
+def test_a_table_from_a_file_has_its_curves_by_name_and_its_columns_as_ever(found, tmp_path):
+    found.save(tmp_path / "C.ecsv")
+    table = lbacal.read(tmp_path / "C.ecsv")
+    np.testing.assert_array_equal(table["S1", 1, "UP"]["c"], found["S1", 1, "UP"]["c"])
+    assert table["S1", 1, "UP"].mean(50, 60).c.to_value(u.V) == found["S1", 1, "UP"].mean(50, 60).c.to_value(u.V)
+    assert table["c", "flag"][:1].colnames == ["c", "flag"]
+    assert len(table[[0, 1]]) == 2
+    with pytest.raises(UnknownNameError, match="unknown curve 'S1 E'; known: S1 antenna 0 E"):
+        table["S1", "E"]
+
+
 def test_a_result_shows_itself_in_a_shell_and_in_a_notebook(found):
     assert repr(found).startswith("<Calibration mine: ")
     assert "6 of 6 curves converged" in repr(found)
