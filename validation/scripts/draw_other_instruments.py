@@ -72,6 +72,7 @@ def read_eda2(data: Path) -> tuple[Spectra, Instrument]:
         for letter in "xy"
         for antenna, power in zip(read["antenna"], read[letter], strict=True)
     }
+    # nothing says where the arms of X and Y point, and one instant does not use it
     spectra = _one_integration("EDA2", 78.125, 1_639_180_800.0, powers)
     return spectra, make_instrument("EDA2", EDA2_DEG, spectra, {"X": EAST_DEG, "Y": 0.0})
 
