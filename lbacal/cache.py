@@ -106,7 +106,7 @@ class Cache:
         """Fetch what a tag holds and is not here and whole; return the list and the number of answers fetched."""
         found = next((one for one in client.get("/v1/tags")["tags"] if one["name"] == _require_tag(tag)), None)
         if found is None:
-            raise BadInputError("tag", "a tag of the server; GET /v1/tags lists them", repr(tag))
+            raise BadInputError("tag", "a tag of the server; `lbacal tag` lists and makes them", repr(tag))
         as_of = found["as_of"]
         held = self._held_before(tag, as_of)
         stations = client.get("/v1/calibrations/edges", as_of=as_of)["stations"]

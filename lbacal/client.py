@@ -98,44 +98,15 @@ class Client:
         given = {name: value for name, value in body.items() if value is not None or name == "calibration"}
         return self._transport.request(method, path, params=params, body=given).json()
 
-    def ask(
-        self, station: str | None = None, antenna: int | None = None, dipole: str | None = None, *,
-        at: Any, as_of: Any = None, gap: str | None = None, scope: str | None = None, tag: str | None = None,
-        kind: str = "json",
-    ) -> bytes:  # fmt: skip
-        """The calibration in effect as the server writes it, in one of its formats; see `effective`.
-
-        A tag that is in `LBACAL_CACHE` is answered from there, since it is the same for ever; anything else only where
-        the server does not answer, and then from the tag that was synced last.
-        """
-        self.snapshot = None
-        params = {"station": station, "antenna": antenna, "dipole": dipole, "gap": gap, "scope": scope, "tag": tag}
-        params |= {"at": format_time(at), "as_of": None if as_of is None else format_time(as_of), "format": kind}
-        if self._cache and tag is not None and as_of is None and gap is None and self._cache.has(tag):
-            return self._ask_cache(self._cache, params)
-        try:
-            # with a cache nobody need wait for a server that may come back, or for one that is stuck
-            patience: dict[str, Any] = {} if self._cache is None else {"tries": 1, "answer_s": STUCK_S}
-            return self._transport.request("GET", _EFFECTIVE, params=params, is_quick=True, **patience).content
-        except UnreachableError:
-            if self._cache is None or gap is not None:
-                raise
-            return self._ask_cache(self._cache, params)
-
-    def _ask_cache(self, cache: Cache, params: dict[str, Any]) -> bytes:
-        snapshot, wanted = cache.snapshot(params["tag"]), params["as_of"]
-        if wanted is not None and parse_instant("as_of", wanted) != parse_instant("as_of", snapshot.as_of):
-            raise BadInputError("as_of", f"{snapshot.as_of}, the instant of the cached tag {snapshot.tag}", wanted)
-        about = {name: params[name] for name in ("station", "antenna", "dipole", "scope")}
-        answer = cache.answer(snapshot, Question(at=parse_instant("at", params["at"]), **about), params["format"])
-        self.snapshot = snapshot
-        return answer
-
     def effective(
         self, station: str | None = None, antenna: int | None = None, dipole: str | None = None, *,
         at: Any, as_of: Any = None, gap: str | None = None, scope: str | None = None, tag: str | None = None,
-    ) -> CurveTable:  # fmt: skip
+        format: str | None = None,  # noqa: A002 (the name that the HTTP route has)
+    ) -> Any:  # fmt: skip
         """The calibration in effect at `at`, one row per path and frequency.
+
+        A tag that is in `LBACAL_CACHE` is answered from there, since it is the same for ever; anything else only where
+        the server does not answer, and then from the tag that was synced last.
 
         Parameters
         ----------
@@ -148,19 +119,49 @@ class Client:
             ``array``: the reference chain of the array, which is nobody's cable (station empty, antenna -1).
         tag
             Name of an instant at which the ledger was frozen, in place of `as_of`.
+        format
+            A format in which the server writes it: json, csv, ecsv, fits, hdf5, or nuradio for one path.
 
         Returns
         -------
-        C of every path through its own cable, whichever scope answered. `flag` is ``ok``, or ``uncertain`` for the
-        reason in `flag_reason`; `factor` is c over that of the stored curve. `meta["source"]` is the address that
-        answered; where no server did and `LBACAL_CACHE` is set, the cached tag (with a `CachedAnswerWarning`).
+        A `CurveTable`; with `format` the bytes of such a file. C of every path through its own cable, whichever scope
+        answered. `flag` is ``ok``, or ``uncertain`` for the reason in `flag_reason`; `factor` is c over that of the
+        stored curve. `meta["source"]` is the address that answered; where no server did and `LBACAL_CACHE` is set, the
+        cached tag (with a `CachedAnswerWarning`).
         """
-        body = self.ask(station, antenna, dipole, at=at, as_of=as_of, gap=gap, scope=scope, tag=tag)
-        table = make_table(json.loads(body))
-        table.meta["source"] = self.url if self.snapshot is None else f"cache: {describe_snapshot(self.snapshot)}"
+        params = {"station": station, "antenna": antenna, "dipole": dipole, "gap": gap, "scope": scope, "tag": tag}
+        params |= {"at": format_time(at), "as_of": None if as_of is None else format_time(as_of)}
+        body = self._ask(params | {"format": format or "json"})
         if self.snapshot is not None and tag is None:
             warnings.warn(f"{self.url} does not answer: {describe_snapshot(self.snapshot)}", CachedAnswerWarning, 2)
+        if format is not None:
+            return body
+        table = make_table(json.loads(body))
+        table.meta["source"] = self.url if self.snapshot is None else f"cache: {describe_snapshot(self.snapshot)}"
         return table
+
+    def _ask(self, params: dict[str, Any]) -> bytes:
+        self.snapshot = None
+        is_plain = params["as_of"] is None and params["gap"] is None
+        if self._cache and params["tag"] is not None and is_plain and self._cache.has(params["tag"]):
+            return self._ask_cache(self._cache, params)
+        try:
+            # with a cache nobody need wait for a server that may come back, or for one that is stuck
+            patience: dict[str, Any] = {} if self._cache is None else {"tries": 1, "answer_s": STUCK_S}
+            return self._transport.request("GET", _EFFECTIVE, params=params, is_quick=True, **patience).content
+        except UnreachableError:
+            if self._cache is None or params["gap"] is not None:
+                raise
+            return self._ask_cache(self._cache, params)
+
+    def _ask_cache(self, cache: Cache, params: dict[str, Any]) -> bytes:
+        snapshot, wanted = cache.snapshot(params["tag"]), params["as_of"]
+        if wanted is not None and parse_instant("as_of", wanted) != parse_instant("as_of", snapshot.as_of):
+            raise BadInputError("as_of", f"{snapshot.as_of}, the instant of the cached tag {snapshot.tag}", wanted)
+        about = {name: params[name] for name in ("station", "antenna", "dipole", "scope")}
+        answer = cache.answer(snapshot, Question(at=parse_instant("at", params["at"]), **about), params["format"])
+        self.snapshot = snapshot
+        return answer
 
     def ingest(
         self, spectra: Path | str | Spectra, on_event: Callable[[int, int], None] | None = None
@@ -228,7 +229,8 @@ class Client:
 def effective(
     station: str | None = None, antenna: int | None = None, dipole: str | None = None, *,
     at: Any, as_of: Any = None, gap: str | None = None, scope: str | None = None, tag: str | None = None,
-) -> CurveTable:  # fmt: skip
+    format: str | None = None,  # noqa: A002 (the name that the HTTP route has)
+) -> Any:  # fmt: skip
     """The calibration in effect at an instant, one row per path and frequency, with units.
 
     Parameters
@@ -241,10 +243,13 @@ def effective(
         or ISO 8601 text.
     gap, scope, tag
         See `Client.effective`.
+    format
+        A format in which the server writes it: json, csv, ecsv, fits, hdf5, or nuradio for one path.
 
     Returns
     -------
-    Columns `c`, `c_sigma_stat`, `c_sigma_sys` (V per ADC unit), `frequency_mhz`, `flag`, `flag_reason` and more.
+    A `CurveTable` with the columns `c`, `c_sigma_stat`, `c_sigma_sys` (V per ADC unit), `frequency_mhz`, `flag`,
+    `flag_reason` and more; with `format` the bytes of such a file.
 
     Examples
     --------
@@ -252,7 +257,8 @@ def effective(
     >>> lbacal.effective("CS002", antenna=17, dipole="X", at="2014-05-01")  # doctest: +SKIP
     """
     with Client() as client:
-        return client.effective(station, antenna, dipole, at=at, as_of=as_of, gap=gap, scope=scope, tag=tag)
+        about: dict[str, Any] = {"as_of": as_of, "gap": gap, "scope": scope, "tag": tag, "format": format}
+        return client.effective(station, antenna, dipole, at=at, **about)
 
 
 def ingest(spectra: Path | str | Spectra) -> dict[str, Any]:

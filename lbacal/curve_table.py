@@ -12,8 +12,10 @@ from astropy.table import QTable
 
 from lbacal.voltages import budget_of, curve_of
 from lbacal_core.curves.curves import INTERFERENCE, CalibrationCurve
-from lbacal_core.errors import BadInputError
+from lbacal_core.errors import BadInputError, UnknownNameError, name_path
 from lbacal_core.grids import Floats
+
+SHOWN_NAMES = 12
 
 
 @dataclass(frozen=True, repr=False)
@@ -58,7 +60,21 @@ class CurveTable(QTable):  # type: ignore[misc] # astropy has no types
     >>> curve = lbacal.effective("CS002", antenna=17, dipole="X", at="2014-05-01")  # doctest: +SKIP
     >>> curve.mean(30, 80)  # doctest: +SKIP
     (23.17 ± 0.2 (stat) ± 2.3 (syst)) µV
+    >>> lbacal.read("C.ecsv")["CS002", 17, "X"].mean(30, 80)  # doctest: +SKIP
     """
+
+    def __getitem__(self, item: Any) -> Any:
+        """As of any table; and by (station, antenna, dipole), (station, dipole) or (dipole,) the rows of one curve."""
+        is_name = isinstance(item, tuple) and 0 < len(item) <= 3 and all(isinstance(part, str | int) for part in item)
+        if not is_name or not isinstance(item[-1], str) or set(item) <= set(self.colnames):
+            return super().__getitem__(item)
+        station, antenna, dipole = (item[0] if len(item) > 1 else None, item[1] if len(item) > 2 else None, item[-1])
+        rows = self.of_path(station, antenna, dipole)
+        if len(rows) == 0:
+            owners = zip(self["station"].tolist(), self["antenna"].tolist(), self["dipole"].tolist(), strict=True)
+            names = [name_path(s or None, None if a < 0 else a, d or None) for s, a, d in dict.fromkeys(owners)]
+            raise UnknownNameError("curve", " ".join(map(str, item)), names[:SHOWN_NAMES])
+        return rows
 
     def of_path(self, station: str | None, antenna: int | None, dipole: str | None) -> CurveTable:
         """The rows of one path; None where a curve belongs to a station or the array."""

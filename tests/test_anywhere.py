@@ -13,6 +13,7 @@ FOR_LOFAR = {
     "sky/differences.py": "the models that there are of LOFAR's antenna",
     "readers/statistics.py": "LOFAR's station statistics",
     "readers/visibilities.py": "the letters of pyuvdata's polarisations",
+    "readers/correlator.py": "the letters of the correlator's polarisations",
     "lstcurve/": "the columns x_db and y_db of an LST curve, the published one and its band",
     "discovery/curve_": "the same",
     "drift/follow.py": "the stored label of a small station whose dipoles are followed together",

@@ -16,6 +16,7 @@ from lbacal.pages.audit import draw_departures, draw_page, draw_stations
 from lbacal_core.audit.audit import AuditReport
 from lbacal_core.audit.audit import audit as audit_spectra
 from lbacal_core.audit.verdict import WRONG, Line
+from lbacal_core.readers.correlator import is_correlator_file
 from lbacal_core.readers.statistics import is_statistics
 from lbacal_core.spectra.spectra import Spectra, read_spectra
 
@@ -90,6 +91,6 @@ def _read(data: Path, instrument: Described, average: Any) -> Spectra:
     import h5py
 
     is_hdf5 = data.is_file() and data.suffix != ".uvh5" and (data.suffix in (".h5", ".hdf5") or h5py.is_hdf5(data))
-    if is_hdf5 and not is_statistics(data):
+    if is_hdf5 and not is_statistics(data) and not is_correlator_file(data):
         return read_spectra(data)
     return import_data(data, average, instrument)

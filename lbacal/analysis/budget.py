@@ -85,7 +85,8 @@ def budget(
     >>> spectra = lbacal.simulate("lofar-superterp", events=100, antennas=2)
     >>> lbacal.budget(spectra, "lofar-superterp", sky="paper").save("budget.png")  # doctest: +SKIP
     """
-    simulation, measured = simulation_of(instrument, sky_power), spectra_of(spectra)
+    measured = spectra_of(spectra)
+    simulation = simulation_of(instrument, sky_power).smeared(measured)
     simulation = simulation.with_form(compare_forms(measured, simulation).name)
     shared, of_antennas = compute_budget(measured, simulation, sky), measure_electronics(measured, simulation)
     terms = [*shared.terms, *([] if of_antennas is None else [of_antennas])]

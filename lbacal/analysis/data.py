@@ -165,7 +165,8 @@ def import_data(
     source
         File or folder, in any format of docs/how-to/import-other-data.md.
     average
-        Time that one spectrum averages, s or a Quantity; 900 s unless given.
+        Time that one spectrum averages, s or a Quantity. Unless given, integrations that have an `event_id` stay events
+        of their own and 900 s of others are averaged.
     instrument
         Whose channels to average to; or `channel`, their width, MHz or a Quantity.
     band
@@ -191,26 +192,42 @@ def import_data(
     for name, value in (("average", interval), ("channel", width)):
         if value is not None and not 0 < value < np.inf:
             raise BadInputError(name, "a number > 0", f"{value}")
-    interval = None if events else interval or DEFAULT_INTERVAL_S
+    is_merging, interval = interval is not None, None if events else interval or DEFAULT_INTERVAL_S
     limits = None if band is None else (convert_number(band[0], u.MHz), convert_number(band[1], u.MHz))
     opened = open_source(Path(source), station)
     chosen = choose_channels(opened, None if instrument is None else core_of(instrument), limits, width)
-    result = average_source(opened, interval, chosen)
-    return BackgroundSpectra.of(result.spectra, notes=[*opened.notes, *_describe(result, interval)])
+    result = average_source(opened, interval, chosen, is_merging_events=is_merging)
+    if instrument is not None:
+        core_of(instrument).require_dipoles(result.spectra.dipole, opened.name, opened.arms_deg)
+    return BackgroundSpectra.of(
+        result.spectra, notes=[*opened.notes, _describe_arms(opened.arms_deg), *_describe(result, interval)]
+    )
+
+
+def _describe_arms(arms_deg: Mapping[str, float]) -> str:
+    if not arms_deg:
+        return "the data do not say where the arms point: the instrument's azimuths are taken for them"
+    arms = ", ".join(f"{letter} to {azimuth:g} deg" for letter, azimuth in arms_deg.items())
+    return f"the arms point where the data say: {arms}; an instrument with others is refused"
 
 
 def _describe(result: Averaged, interval_s: float | None) -> Iterator[str]:
     if result.channels_left_out.size:
         low, high = result.channels_left_out[[0, -1]]
         yield f"{result.channels_left_out.size} channels between {low:g} and {high:g} MHz are flagged, left out"
+    if result.spectra_filled:
+        yield f"{result.spectra_filled} spectra lack a few channels, filled as in the path's other spectra"
     if result.spectra_left_out:
         yield f"{result.spectra_left_out} spectra lack one of the other channels, left out"
     for flag, count in result.flags.items():
         yield f"{count} spectra are flagged {flag!r}: the file keeps them, fits leave them out"
     spectra, channels = result.spectra, result.spectra.frequency_mhz
-    of_what = "events" if interval_s is None else f"intervals of {interval_s:g} s"
+    count = np.unique(spectra.event_id).size
+    of_what = f"{count} events" if interval_s is None else f"{count} intervals of {interval_s:g} s"
+    if result.events and interval_s is not None:
+        of_what = f"{count} events or intervals of {interval_s:g} s ({result.events} with an event_id)"
     yield (
-        f"{len(spectra)} spectra, {np.unique(spectra.event_id).size} {of_what} from {result.integrations} "
+        f"{len(spectra)} spectra, {of_what} from {result.integrations} "
         f"integrations, {channels.size} channels from {channels[0]:g} to {channels[-1]:g} MHz"
     )
 

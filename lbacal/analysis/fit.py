@@ -29,7 +29,7 @@ from lbacal_core.curves.curves import CONVERGED, MISFIT, Anomalies, CalibrationC
 from lbacal_core.curves.galcal import describe_made_with
 from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.discovery.forward import divide_out
-from lbacal_core.errors import BadInputError, UnknownNameError
+from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.pipeline import calibrate
 from lbacal_core.simulation.simulation import Simulation
@@ -38,7 +38,6 @@ from lbacal_core.spectra.spectra import Spectra
 
 SCOPES = ("antenna", "station", "array")
 """What one curve may belong to."""
-SHOWN_NAMES = 12
 NEXT_STEP = "lbacal.investigate(spectra, instrument).save('R.html')"
 """What to do where a curve is a misfit; the command says it in its own words."""
 
@@ -88,14 +87,11 @@ class Calibration(Result):
         """C of one curve: (station, antenna, dipole), (station, dipole) or (dipole,) by what was fitted."""
         wanted = key if isinstance(key, tuple) else (key,)
         for curve in self.report.curves:
-            own = (*curve.owner, curve.dipole)
-            if tuple(part for part in own if part is not None) == wanted:
-                if curve.c is None:
-                    raise BadInputError(curve.name, "a curve that converged", curve.status)
-                rows: CurveTable = self.table.of_path(*own)
-                return rows
-        names = [curve.name for curve in self.report.curves]
-        raise UnknownNameError("curve", " ".join(str(part) for part in wanted), names[:SHOWN_NAMES])
+            is_wanted = tuple(part for part in (*curve.owner, curve.dipole) if part is not None) == wanted
+            if is_wanted and curve.c is None:
+                raise BadInputError(curve.name, "a curve that converged", curve.status)
+        rows: CurveTable = self.table[wanted]
+        return rows
 
 
 def fit(
@@ -145,17 +141,18 @@ def fit(
     audited = audit_quickly(measured, simulation.instrument)
     audited.require_power(measured.origin)
     tell(f"fit {len(measured)} spectra")
-    report = widen_by_open_terms(calibrate(measured, simulation, scope), read_open_terms(with_, "with_"))
+    seen = simulation.smeared(measured)
+    report = widen_by_open_terms(calibrate(measured, seen, scope), read_open_terms(with_, "with_"))
     report = audited.mark(report)
     tell("error of one event")
-    error = measure_error(report, measured, simulation)
+    error = measure_error(report, measured, seen)
     sentences = [] if error is None else [describe_error(error)]
     explained = [explain_chi2(report.curves)] if any(curve.c is not None for curve in report.curves) else []
     counted = sum(curve.status == CONVERGED for curve in report.curves)
     content = partial(_content_of, report, simulation)
 
     def draw() -> Figure:
-        return draw_fit(report, average_residuals(measured, report.curves, simulation), simulation)
+        return draw_fit(report, average_residuals(measured, report.curves, seen), seen)
 
     return Calibration(
         title=f"{simulation.instrument.name}: {counted} of {len(report.curves)} curves converged",

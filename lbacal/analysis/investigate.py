@@ -136,7 +136,7 @@ def investigate(
     measured = spectra_of(data)
     audited = audit_quickly(measured, simulation.instrument)
     audited.require_power(measured.origin)
-    content, stations = investigate_spectra(measured, simulation, progress=tell)
+    content, stations = investigate_spectra(measured, simulation.smeared(measured), progress=tell)
     content["provenance"]["notes"]["audit"] = audited.sentence
     content = add_left_open(content, stations)
 

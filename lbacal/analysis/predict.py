@@ -13,14 +13,17 @@ import numpy as np
 from astropy import units as u
 from astropy.table import QTable
 
-from lbacal.analysis.fit import SHOWN_NAMES, Calibration
+from lbacal.analysis.fit import Calibration
 from lbacal.analysis.instrument import Described, simulation_of
 from lbacal.analysis.result import Result
 from lbacal.client import Client, format_time
+from lbacal.curve_table import SHOWN_NAMES
 from lbacal.instants import format_instant, parse_instant
-from lbacal_core.calibration.prediction import EventNoise, predict_alone
+from lbacal.with_model import Extended, read_model
+from lbacal_core.calibration.prediction import EventNoise
 from lbacal_core.discovery.forward import predict as predict_path
-from lbacal_core.errors import UnknownNameError
+from lbacal_core.discovery.forward import predict_alone
+from lbacal_core.errors import BadInputError, UnknownNameError
 from lbacal_core.grids import Floats
 from lbacal_core.traces.noise import draw_noise
 
@@ -117,6 +120,7 @@ def predict(
     antenna: int,
     dipole: str,
     temperature: Any = None,
+    with_: Extended = None,
 ) -> Prediction:
     """What an antenna should see: expected spectrum with covariance, what it is made of, SEFD, noise of events.
 
@@ -129,6 +133,8 @@ def predict(
         An astropy Time, a datetime (naive = UTC) or ISO 8601 text.
     temperature
         Outside temperature, deg C or a Quantity, for adopted causes that follow it.
+    with_
+        What an instrument by itself is extended by, as in `lbacal.fit`.
 
     Examples
     --------
@@ -146,11 +152,15 @@ def predict(
         celsius = temperature.to_value(u.deg_C, u.temperature())
     path = {"station": station, "antenna": antenna, "dipole": dipole}
     instant = parse_instant("at", format_time(at))
+    if with_ is not None and (source is None or isinstance(source, Calibration)):
+        raise BadInputError("with_", "an instrument by itself: a calibration has its causes", "a calibration")
     if source is None:
         with Client() as client:
             return _make(client.get("/v1/predictions", **path, at=format_instant(instant), temperature_c=celsius))
     if not isinstance(source, Calibration):
-        found = predict_alone(simulation_of(source), station, antenna, dipole, 1e-6 * instant)
+        simulation = simulation_of(source)
+        simulation = simulation if with_ is None else simulation.with_causes(read_model(with_, "with_"))
+        found = predict_alone(simulation, station, antenna, dipole, 1e-6 * instant, celsius)
         return _make({"at": format_instant(instant), **found.as_dict()})
     curves = {one.path: one for one in source.report.curves}
     curve = curves.get((station, antenna, dipole))

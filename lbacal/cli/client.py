@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from enum import StrEnum
@@ -14,7 +15,7 @@ from typing import Annotated, Any
 import typer
 
 from lbacal.cli.outputs import require_outputs
-from lbacal.client import Client, describe_snapshot
+from lbacal.client import CachedAnswerWarning, Client, describe_snapshot
 from lbacal.files import written_beside
 from lbacal_core.errors import BadInputError, name_path
 
@@ -65,7 +66,10 @@ def effective(
         raise BadInputError("--format", "json, csv, ecsv, fits, hdf5 or nuradio with --output", "table")
     with Client() as client:
         wire = "json" if kind is Format.table else kind.value
-        body = client.ask(station, antenna, dipole, at=at, as_of=as_of, gap=gap, scope=scope, tag=tag, kind=wire)
+        about = {"as_of": as_of, "gap": gap, "scope": scope, "tag": tag, "format": wire}
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", CachedAnswerWarning)  # said below, in the command's words
+            body = client.effective(station, antenna, dipole, at=at, **about)
         if client.snapshot is not None:
             print(f"lbacal: from the cache: {describe_snapshot(client.snapshot)}", file=sys.stderr)
     if output is not None:

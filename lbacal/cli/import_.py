@@ -11,9 +11,14 @@ from lbacal.cli.outputs import require_outputs
 
 
 def import_(
-    source: Annotated[Path, typer.Argument(help="File or folder: .uvh5, .uvfits, SST of LOFAR, NenuFAR, .csv, .npz.")],
+    source: Annotated[
+        Path,
+        typer.Argument(help="File or folder: .uvh5, .uvfits, .ms, SST of LOFAR, NenuFAR, SKA-Low's .hdf5, .csv, .npz."),
+    ],
     output: Annotated[Path, typer.Option(help="Spectra file to write (HDF5).")],
-    average: Annotated[float | None, typer.Option(help="Seconds that one spectrum averages (900).")] = None,
+    average: Annotated[
+        float | None, typer.Option(help="Seconds that one spectrum averages (900 of what has no event_id).")
+    ] = None,
     events: Annotated[
         bool, typer.Option("--events", help="Every integration is an event of its own: one spectrum each.")
     ] = False,

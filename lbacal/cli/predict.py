@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from lbacal.cli.outputs import require_outputs
+from lbacal.with_model import HELP, report_path
 
 
 def predict(
@@ -22,6 +23,9 @@ def predict(
     simulation: Annotated[
         str | None, typer.Option(help="Instrument (name or JSON file) alone, instead of what is in effect.")
     ] = None,
+    with_: Annotated[
+        str | None, typer.Option("--with", metavar="R.json[#n]", help=f"{HELP} With --simulation.")
+    ] = None,
 ) -> None:
     """Predict the spectrum of a path, what it is made of, SEFD, and noisy events, from the calibration in effect.
 
@@ -32,10 +36,13 @@ def predict(
     from lbacal.files import written_beside
     from lbacal_core.errors import BadInputError
 
-    require_outputs({"--output": output}, {"--simulation": simulation})
+    require_outputs({"--output": output}, {"--simulation": simulation, "--with": with_ and report_path(with_)})
     if realisations and output.suffix.lower() not in (".h5", ".hdf5"):
         raise BadInputError("--realisations", "an --output that ends in .h5 or .hdf5", output.suffix or "no ending")
-    found = predict_path(simulation, at=at, station=station, antenna=antenna, dipole=dipole, temperature=temperature)
+    if with_ and simulation is None:
+        raise BadInputError("--with", "--simulation beside it: what is in effect has its causes", "none")
+    where: dict[str, Any] = {"station": station, "antenna": antenna, "dipole": dipole}
+    found = predict_path(simulation, at=at, **where, temperature=temperature, with_=with_)
     if realisations:
         with written_beside(output) as beside:
             write_prediction(found.content, beside, found.draw_events(realisations, seed))

@@ -82,7 +82,7 @@ class AuditedStation:
 def split_stations(spectra: Spectra, instrument: Instrument) -> Iterator[AuditedStation]:
     """The stations of some spectra, by name."""
     require_same_grid(spectra.origin, spectra.frequency_mhz, instrument.frequency_mhz, instrument.name)
-    instrument.require_dipoles(spectra.dipole, spectra.origin)
+    instrument.require_dipoles(spectra.dipole, spectra.origin, spectra.arms_deg)
     least = radiometer_limit(spectra)
     for station in np.unique(spectra.station):
         rows = np.flatnonzero(spectra.station == station)

@@ -70,7 +70,7 @@ Cables = Mapping[tuple[str, int], str]
 
 def require_one_cable_each(spectra: Spectra, instrument: Instrument) -> Cables:
     """The cable of every antenna: each must be known to the instrument and keep its cable over the window."""
-    instrument.require_dipoles(spectra.dipole, spectra.origin)
+    instrument.require_dipoles(spectra.dipole, spectra.origin, spectra.arms_deg)
     found: dict[tuple[str, int], str] = {}
     first, last = float(spectra.time_unix.min()), float(spectra.time_unix.max())
     stations, station_at = spectra.key_codes["station"]

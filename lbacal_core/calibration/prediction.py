@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from lbacal_core.calibration.one_event import compare_paths
 from lbacal_core.calibration.singles import MIN_EVENTS
 from lbacal_core.curves.covariance import Budget
-from lbacal_core.curves.curves import CalibrationCurve
+from lbacal_core.curves.curves import CONVERGED, CalibrationCurve, Parameter
 from lbacal_core.data.prior import read_prior
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, guess_widths
@@ -350,32 +350,55 @@ def predict_path(
     )
 
 
-def predict_alone(simulation: Simulation, station: str, antenna: int, dipole: str, time_unix: float) -> Prediction:
-    """What the simulation says of a path that nobody has calibrated: W/MHz in front of the converter, with A(nu) = 1.
-
-    Its error is that of the sky. Noise that the instrument does not state is not in it.
-    """
-    instrument, noise, instants = simulation.instrument, simulation.noise, np.array([time_unix])
+def curve_alone(simulation: Simulation, station: str, antenna: int, dipole: str, time_unix: float) -> CalibrationCurve:
+    """The curve of a path that nobody has calibrated: A(nu) S = 1, and only the noise that the instrument states."""
+    instrument, noise = simulation.instrument, simulation.noise
     instrument.require_dipoles(np.array([dipole]), "prediction")
     loss = instrument.cables[instrument.cable_of(station, antenna, time_unix)]
+    stated = np.append(np.where(noise.precision > 0, noise.mean, 0.0), np.zeros(len(noise.behind)))
+    return CalibrationCurve(
+        station, antenna, dipole, CONVERGED, 0, instrument.frequency_mhz, (loss * instrument.receiver_gain) ** -0.5,
+        None, None, None, 0.0, {name: Parameter(float(n), 0.0) for name, n in zip(noise.names, stated, strict=True)},
+    )  # fmt: skip
+
+
+def predict_alone(
+    simulation: Simulation, station: str, antenna: int, dipole: str, time_unix: float, acting: Acting | None = None
+) -> Prediction:
+    """What the simulation says of a path that nobody has calibrated: W/MHz in front of the converter, with A(nu) = 1.
+
+    Its error is that of the sky, and of the sizes of adopted causes: with these ask `discovery.forward.predict_alone`.
+    Noise that the instrument does not state is not in it.
+    """
+    instrument, noise, instants = simulation.instrument, simulation.noise, np.array([time_unix])
+    curve = curve_alone(simulation, station, antenna, dipole, time_unix)
     lst, sky = simulation.sidereal_time(station, instants), simulation.sky_at(station, dipole, instants)[0]
+    plain = terms_of(curve, instrument, sky)
+    acting = Acting(plain) if acting is None else acting
+    chain = acting.terms
+    power, known = chain.power(), plain.n_lna
+    total = power / chain.front
+    contributions = {"sky": chain.sky, "known": known}
+    rest = total - chain.sky - known
+    if np.any(np.abs(rest) > SMALLEST_SHARE * total):
+        contributions["causes"] = rest
+    wrong = [chain.sky * read_at(term.d_ln_p[dipole], lst - term.lst_hours[0])[0] for term in simulation.changes()]
+    of_sky = [one / total for one in wrong]
+    by_size = [(np.log(one.power() / power), np.log(one.front / chain.front)) for one in acting.moved]
     is_known = np.append(noise.precision > 0, np.zeros(len(noise.behind), dtype=bool))
-    known = noise.before(np.where(noise.precision > 0, noise.mean, 0.0))
-    wrong = [sky * read_at(term.d_ln_p[dipole], lst - term.lst_hours[0])[0] for term in simulation.changes()]
-    errors = np.reshape([one / (sky + known) for one in wrong], (-1, sky.size))
     free = ", ".join(np.array(noise.names)[~is_known])
     return Prediction(
         name={"station": station, "antenna": antenna, "dipole": dipole},
         lst_hours=float(lst[0]),
         frequency_mhz=instrument.frequency_mhz,
-        power=instrument.antenna_gain * loss * instrument.receiver_gain * (sky + known),
-        errors=errors,
-        contributions={"sky": sky, "known": known},
+        power=power,
+        errors=np.reshape([*of_sky, *(moved for moved, _ in by_size)], (-1, sky.size)),
+        contributions=contributions,
         per_kelvin=_per_kelvin(simulation, dipole),
-        sefd_error=np.linalg.norm(errors, axis=0),
+        sefd_error=np.linalg.norm(np.reshape([*of_sky, *(p - s for p, s in by_size)], (-1, sky.size)), axis=0),
         noise=EventNoise.expected(instrument.frequency_mhz),
         is_calibrated=False,
-        notes=[f"noise that only data determine is not in it: {free}"] if free else [],
+        notes=[*acting.notes, *([f"noise that only data determine is not in it: {free}"] if free else [])],
     )
 
 

@@ -11,7 +11,8 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from lbacal_core.calibration.prediction import Acting, EventNoise, Prediction, predict_path
+from lbacal_core.calibration import prediction
+from lbacal_core.calibration.prediction import Acting, EventNoise, Prediction, curve_alone, predict_path
 from lbacal_core.calibration.singles import MIN_EVENTS
 from lbacal_core.causes.cause import TEMPERATURE, Template
 from lbacal_core.causes.model import AdoptedCause
@@ -57,6 +58,20 @@ def predict(
     """
     acting = None if curve.c is None else _act_at(curve, simulation, time_unix, temperature_c)
     return predict_path(curve, simulation, time_unix, noise, budget, acting, is_own=is_own)
+
+
+def predict_alone(
+    simulation: Simulation,
+    station: str,
+    antenna: int,
+    dipole: str,
+    time_unix: float,
+    temperature_c: float | None = None,
+) -> Prediction:
+    """What the simulation with its causes says of a path that nobody has calibrated; see `prediction.predict_alone`."""
+    curve = curve_alone(simulation, station, antenna, dipole, time_unix)
+    acting = _act_at(curve, simulation, time_unix, temperature_c)
+    return prediction.predict_alone(simulation, station, antenna, dipole, time_unix, acting)
 
 
 def divide_out(spectra: Spectra, curves: Sequence[CalibrationCurve], simulation: Simulation) -> Spectra:

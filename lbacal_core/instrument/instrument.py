@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib.resources import files
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,8 @@ from lbacal_core.instrument.antennas import (
 from lbacal_core.instrument.stages import IN_LINE, Stage, fill_fields, gain_behind, parse_stages
 from lbacal_core.provenance import hash_content
 
+LARGEST_TURN_DEG = 1.0
+"""Azimuths of an arm that differ by less are the same: records round."""
 STEEPEST_DEG = 90.0
 """Tilt of an arm that stands upright."""
 ALTERNATIVE = ("antenna_gain", "receiver_gain", "stages")
@@ -160,8 +163,10 @@ class Instrument:
         north, east, height = site.latitude_deg, site.longitude_deg, site.height_m
         return replace(self, sites={}, latitude_deg=north, longitude_deg=east, height_m=height)
 
-    def require_dipoles(self, letters: NDArray[np.str_], origin: str) -> None:
-        """Refuse letters of spectra that are none of this instrument's."""
+    def require_dipoles(
+        self, letters: NDArray[np.str_], origin: str, arms_deg: Mapping[str, float] = MappingProxyType({})
+    ) -> None:
+        """Refuse letters of spectra that are none of this instrument's, and arms that point elsewhere."""
         unknown = [str(letter) for letter in np.unique(letters) if str(letter) not in self.dipole_azimuth_deg]
         if unknown:
             row = int(np.flatnonzero(letters == unknown[0])[0])
@@ -169,6 +174,12 @@ class Instrument:
             expected = f"a dipole of instrument {self.name} ({', '.join(self.dipoles)})"
             found = f"{unknown[0]!r}{f' (is {near} meant?)' if near else ''}"
             raise BadInputError(f"{origin}: dipole, row {row}", expected, found)
+        for letter, azimuth in arms_deg.items():
+            here = self.dipole_azimuth_deg.get(letter, azimuth)
+            # an arm has two ends
+            if abs((azimuth - here + 90.0) % 180.0 - 90.0) > LARGEST_TURN_DEG:
+                expected = f"{here:g} deg, the azimuth of the arm {letter} of instrument {self.name}"
+                raise BadInputError(f"{origin}: arm of {letter}", expected, f"{azimuth:g} deg")
 
     def _require_stages(self) -> None:
         if not self.stages:

@@ -9,13 +9,14 @@ import numpy as np
 from lbacal_core.errors import BadInputError, UnreadableFileError
 from lbacal_core.grids import guess_widths
 from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.readers import statistics, tables, visibilities
+from lbacal_core.readers import correlator, statistics, tables, visibilities
 from lbacal_core.readers.source import Channels, Source
 
 FORMATS = (
-    "visibilities (.uvh5, .uvfits)",
+    "visibilities (.uvh5, .uvfits, measurement sets)",
     "LOFAR 2.0 sub-band statistics (.h5)",
     "NenuFAR sub-band statistics (.fits)",
+    "correlator files of SKA-Low's test stations (.hdf5), or a folder of them, one a channel",
     "a .csv table with a row an integration and path",
     "a folder of LOFAR's ..._sst_rcuNNN.dat",
     "a folder of .csv or .npz files, one an integration",
@@ -39,19 +40,24 @@ def open_source(path: Path, station: str | None = None) -> Source:
         return visibilities.open_visibilities(path)
     if statistics.is_statistics(path):
         return statistics.open_statistics(path)
+    if correlator.is_correlator_file(path):
+        return correlator.open_correlator([path], path.name, station or DEFAULT_STATION)
     if path.suffix in statistics.NENUFAR_SUFFIXES:
         return statistics.open_mini_arrays(path, station)
-    if path.suffix == ".csv" and tables.is_table_of_rows(path):
-        return tables.open_table(path, station or DEFAULT_STATION)
     if path.suffix in tables.SUFFIXES:
-        return tables.open_folder([path], station or DEFAULT_STATION)
+        return tables.open_file(path, station or DEFAULT_STATION)
     raise BadInputError(str(path), "; ".join(FORMATS), f"a file {path.suffix or 'without a suffix'}")
 
 
 def _open_folder(path: Path, station: str) -> Source:
+    if visibilities.is_measurement_set(path):
+        return visibilities.open_visibilities(path)
     receivers = statistics.find_receiver_files(path)
     if receivers:
         return statistics.open_receiver_files(receivers, station)
+    correlated = sorted(file for file in path.glob(f"*{correlator.SUFFIX}") if correlator.is_correlator_file(file))
+    if correlated:
+        return correlator.open_correlator(correlated, path.name, station)
     files = sorted(file for file in path.iterdir() if file.suffix in tables.SUFFIXES)
     if not files:
         raise BadInputError(str(path), "; ".join(FORMATS), "a folder without any of them")

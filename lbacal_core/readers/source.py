@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_channels
 from lbacal_core.instrument.antennas import EXPECTED, are_dipole_names
-from lbacal_core.spectra.spectra import Spectra
+from lbacal_core.spectra.spectra import BLOCK_S, Spectra
 
 
 @dataclass(frozen=True)
@@ -58,6 +58,8 @@ class Source:
         Yields the integrations in order of time.
     notes
         What a user must know about the data, one sentence each.
+    arms_deg
+        Azimuths of the arms by dipole, north through east, deg, where the data say so.
     """
 
     name: str
@@ -68,6 +70,7 @@ class Source:
     dipole: NDArray[np.str_]
     read: Callable[[], Iterator[Integrations]]
     notes: tuple[str, ...] = ()
+    arms_deg: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         require_channels(self.name, self.frequency_mhz)
@@ -88,14 +91,16 @@ class Source:
 # counts nowhere. An integration that is flagged as a whole counts only where its interval has no other: then the
 # average bears its flag. In memory are the averages and one block of integrations, whatever the length of the source.
 
-BLOCK_S = 1024 / 200e6
-"""Length of a block of LOFAR's transient buffer (1024 samples at 200 MHz), the unit of `blocks` in a spectra file."""
 WHOLE_SHARE = 0.5
 """An averaged channel must have recorded this share of what the best channel of its spectrum recorded."""
 EDGE_MHZ = 1e-9
 """A channel on the edge of two averages belongs to the upper one, whatever rounding does."""
 COMMON_SHARE = 0.5
-"""Channels that fewer spectra have than this are left out; spectra that then lack one are left out."""
+"""Channels that fewer spectra have than this are left out."""
+FILLED_SHARE, FILLED_CHANNELS, FEWEST_COMPLETE = 0.2, 0.1, 4
+"""A spectrum that lacks some of the others is filled where at most so many of the path's spectra lack each of these,
+it lacks at most so many of its channels, and the path has so many complete spectra; else it is left out. The fit takes
+what was filled for measured: its error of C in such a channel is too small by at most 1 - 0.8^0.5, 11 %."""
 
 
 @dataclass(frozen=True)
@@ -120,6 +125,10 @@ class Averaged:
         How many spectra bear each flag.
     integrations
         How many integrations were read.
+    spectra_filled
+        How many spectra lacked a few channels, which the path's other spectra filled.
+    events
+        How many events have a name of their own; the others are intervals.
     """
 
     spectra: Spectra
@@ -127,6 +136,8 @@ class Averaged:
     spectra_left_out: int
     integrations: int
     flags: Mapping[str, int]
+    spectra_filled: int = 0
+    events: int = 0
 
 
 def average(
@@ -134,6 +145,8 @@ def average(
     interval_s: float | None,
     channels: Channels | None = None,
     say: Callable[[int], None] = lambda _: None,
+    *,
+    is_merging_events: bool = True,
 ) -> Averaged:
     """Average a source to background spectra.
 
@@ -141,11 +154,13 @@ def average(
     ----------
     interval_s
         Length of the intervals, s; they begin with the first integration. None: every integration is an event of its
-        own, with its name where it has one.
+        own, with its name where it has one; integrations of one name are one event.
     channels
         What to average to; without it the channels of the source.
     say
         Is called with the number of integrations read so far.
+    is_merging_events
+        Whether integrations that have names are averaged over the intervals too.
 
     Returns
     -------
@@ -153,7 +168,8 @@ def average(
     averaged, and whose covariate `flagged_fraction` is the share of samples that were flagged; other covariates are
     means over the interval.
     """
-    sums = _Sums(source, interval_s, channels or Channels(source.frequency_mhz, source.width_mhz))
+    channels = channels or Channels(source.frequency_mhz, source.width_mhz)
+    sums = _Sums(source, interval_s, channels, is_merging_events and interval_s is not None)
     for block in source.read():
         sums.add(block)
         say(sums.integrations)
@@ -179,7 +195,6 @@ class _Sum:
     power: Floats
     weight: Floats
     clock: Floats
-    name: str
     covariates: dict[str, Floats]
 
     def add(self, other: _Sum) -> None:
@@ -193,12 +208,14 @@ class _Sum:
 class _Sums:
     """The sums of every interval, what is flagged as a whole by itself."""
 
-    def __init__(self, source: Source, interval_s: float | None, channels: Channels) -> None:
+    def __init__(self, source: Source, interval_s: float | None, channels: Channels, is_merging_events: bool) -> None:
         self.source, self.interval_s, self.channels = source, interval_s, channels
+        self.is_merging_events = is_merging_events
         self.members, self.edges = _find_members(source, channels)
         self.begin: float | None = None
         self.integrations = 0
-        self.sums: dict[tuple[int, str], _Sum] = {}
+        self.sums: dict[tuple[str, int, str], _Sum] = {}
+        """By name of the event, or by the number of its interval where it has none, and by flag."""
 
     def add(self, block: Integrations) -> None:
         count = block.time_unix.size
@@ -221,29 +238,30 @@ class _Sums:
         recorded = np.add.reduceat(share, self.edges, axis=-1)
         flagged = 1.0 - recorded.sum(axis=(1, 2)) / (width.sum() * power.shape[1])
         flags = np.full(count, "") if block.flag is None else block.flag
-        names = np.full(count, "") if block.event_id is None else block.event_id
-        for k, flag in dict.fromkeys(zip(interval.tolist(), flags.tolist(), strict=True)):
-            rows = np.flatnonzero((interval == k) & (flags == flag))
+        names = np.full(count, "") if block.event_id is None or self.is_merging_events else block.event_id
+        interval = np.where(names == "", interval, 0)
+        for name, k, flag in dict.fromkeys(zip(names.tolist(), interval.tolist(), flags.tolist(), strict=True)):
+            rows = np.flatnonzero((names == name) & (interval == k) & (flags == flag))
             length = block.duration_s[rows]
             found = _Sum(
                 np.tensordot(length, inside[rows], axes=1),
                 np.tensordot(length, recorded[rows], axes=1),
                 np.array([length.sum(), length @ since[rows], length @ flagged[rows]]),
-                str(names[rows[0]]),
                 {name: _sum_known(values[rows], length) for name, values in block.environment.items()},
             )
-            if (k, flag) in self.sums:
-                self.sums[k, flag].add(found)
+            if (name, k, flag) in self.sums:
+                self.sums[name, k, flag].add(found)
             else:
-                self.sums[k, flag] = found
+                self.sums[name, k, flag] = found
         self.integrations += count
 
-    def _chosen(self) -> list[tuple[int, str]]:
-        """One sum an interval, in order of time: what is not flagged, else the first flag in the alphabet."""
-        chosen: dict[int, str] = {}
-        for interval, flag in sorted(self.sums):
-            chosen.setdefault(interval, flag)
-        return list(chosen.items())
+    def _chosen(self) -> list[tuple[str, int, str]]:
+        """One sum an event or interval, in order of time: what is not flagged, else the first flag in the alphabet."""
+        chosen: dict[tuple[str, int], str] = {}
+        for name, interval, flag in sorted(self.sums):
+            chosen.setdefault((name, interval), flag)
+        keys = [(*key, flag) for key, flag in chosen.items()]
+        return sorted(keys, key=lambda key: self.sums[key].clock[1] / self.sums[key].clock[0])
 
     def finish(self) -> Averaged:
         keys = self._chosen()
@@ -257,7 +275,9 @@ class _Sums:
         if not is_recorded.any():
             raise BadInputError(self.source.name, "something that is not flagged", "everything flagged")
         is_kept = is_whole[is_recorded].mean(axis=0) >= COMMON_SHARE
-        is_usable = is_recorded & is_whole[..., is_kept].all(axis=-1)
+        power, is_whole = power[..., is_kept], is_whole[..., is_kept]
+        is_filled = _fill(power, is_whole, np.log(self.channels.frequency_mhz[is_kept]))
+        is_usable = is_whole.all(axis=-1) | is_filled
         at, path = np.nonzero(is_usable)
         if at.size == 0:
             raise BadInputError(self.source.name, "spectra that have all their channels", "none")
@@ -265,14 +285,13 @@ class _Sums:
         duration_s = best[at, path, 0]
         begin = float(self.begin or 0.0)
         time_unix = begin + moments / lengths
-        begins = time_unix if self.interval_s is None else begin + self.interval_s * np.array([k for k, _ in keys])
-        names = [one.name if self.interval_s is None and one.name else "" for one in sums]
-        names = [name or _name_interval(float(t)) for name, t in zip(names, begins, strict=True)]
-        flags = np.array([flag for _, flag in keys])[at]
+        begins = time_unix if self.interval_s is None else begin + self.interval_s * np.array([k for _, k, _ in keys])
+        names = [name or _name_interval(float(t)) for (name, *_), t in zip(keys, begins, strict=True)]
+        flags = np.array([flag for *_, flag in keys])[at]
         covariates = {name: np.array([_mean_known(one, name) for one in sums])[at] for name in self._covariates()}
         spectra = Spectra(
             frequency_mhz=self.channels.frequency_mhz[is_kept],
-            power=power[at, path][:, is_kept],
+            power=power[at, path],
             event_id=np.array(names)[at],
             time_unix=time_unix[at],
             station=self.source.station[path],
@@ -284,13 +303,58 @@ class _Sums:
             width_mhz=self.channels.width_mhz[is_kept],
             duration_s=duration_s,
             flag=flags if np.any(flags != "") else None,
+            arms_deg=self.source.arms_deg,
         )
         left_out = self.channels.frequency_mhz[~is_kept]
         counts = {str(flag): int(np.sum(flags == flag)) for flag in np.unique(flags[flags != ""])}
-        return Averaged(spectra, left_out, int(is_recorded.sum() - is_usable.sum()), self.integrations, counts)
+        events = len({name for name, *_ in keys if name})
+        lost = int(is_recorded.sum() - is_usable.sum())
+        return Averaged(spectra, left_out, lost, self.integrations, counts, int(is_filled.sum()), events)
 
     def _covariates(self) -> list[str]:
         return sorted({name for one in self.sums.values() for name in one.covariates})
+
+
+def _fill(power: Floats, is_whole: NDArray[np.bool_], place: Floats) -> NDArray[np.bool_]:
+    """Fill the few channels that some spectra lack, in place.
+
+    A channel over its neighbours, interpolated in logarithms, is what it is in the median of the path's complete
+    spectra: sky and chain differ little along frequency from event to event, so that the event keeps its level.
+
+    Parameters
+    ----------
+    power, is_whole
+        Shape (interval, path, channel): the power, and whether it was recorded.
+    place
+        ln of the frequency, shape (channel,).
+
+    Returns
+    -------
+    Which spectra were filled, shape (interval, path).
+    """
+    recorded = np.maximum(is_whole.any(axis=-1).sum(axis=0), 1)
+    is_often = is_whole.sum(axis=0) >= (1.0 - FILLED_SHARE) * recorded[:, None]
+    lacks = ~is_whole
+    is_filled = is_whole.any(axis=-1) & lacks.any(axis=-1) & (lacks.mean(axis=-1) <= FILLED_CHANNELS)
+    is_filled &= np.all(is_whole | is_often, axis=-1) & (is_whole.all(axis=-1).sum(axis=0) >= FEWEST_COMPLETE)
+    for path in np.flatnonzero(is_filled.any(axis=0)):
+        complete = power[is_whole[:, path].all(axis=-1), path]
+        rows = np.flatnonzero(is_filled[:, path])
+        patterns, which = np.unique(lacks[rows, path], axis=0, return_inverse=True)
+        for number, pattern in enumerate(patterns):
+            good, missing = np.flatnonzero(~pattern), np.flatnonzero(pattern)
+            upper = np.clip(np.searchsorted(good, missing), 1, good.size - 1)
+            low, high = good[upper - 1], good[upper]
+            share = np.clip((place[missing] - place[low]) / (place[high] - place[low]), 0.0, 1.0)
+            beside = np.median(np.log(complete[:, missing]) - _between(complete, low, high, share), axis=0)
+            at = rows[np.ravel(which) == number]
+            power[at[:, None], path, missing] = np.exp(_between(power[at, path], low, high, share) + beside)
+    return np.asarray(is_filled)
+
+
+def _between(power: Floats, low: NDArray[np.int64], high: NDArray[np.int64], share: Floats) -> Floats:
+    """The logarithm of the power between two channels each, so far on the way from the lower to the upper one."""
+    return np.asarray((1.0 - share) * np.log(power[:, low]) + share * np.log(power[:, high]))
 
 
 def _sum_known(values: Floats, length: Floats) -> Floats:

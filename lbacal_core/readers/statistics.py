@@ -239,8 +239,8 @@ def open_mini_arrays(path: Path, station: str | None = None) -> Source:
         notes=(
             "the unit of the power is the station's: C becomes relative",
             "an antenna is a mini-array of 19: the pattern of the instrument must be its, where its beam pointed",
-            "the arm of NE points to 45 deg, that of NW to 135 deg",
         ),
+        arms_deg={"NE": 45.0, "NW": 135.0},
     )
 
 

@@ -24,8 +24,15 @@ COVARIATE = "env/"
 Row = dict[str, str]
 
 
+def open_file(path: Path, station: str) -> Source:
+    """Open a table of many integrations, or a table or archive of one."""
+    return open_table(path, station) if is_table_of_rows(path) else open_folder([path], station)
+
+
 def is_table_of_rows(path: Path) -> bool:
     """Whether a CSV file begins with the column `time`."""
+    if path.suffix != ".csv":
+        return False
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             return next(_lines(file), "").split(",")[0].strip() == "time"

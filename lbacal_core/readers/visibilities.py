@@ -1,8 +1,9 @@
-"""Autocorrelations of an interferometer (uvh5, FITS-UV, ...), read by pyuvdata."""
+"""Autocorrelations of an interferometer (uvh5, FITS-UV, measurement sets), read by pyuvdata."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -19,19 +20,26 @@ UNIX_EPOCH_JD = 2440587.5
 DAY_S = 86_400.0
 
 
+def is_measurement_set(path: Path) -> bool:
+    """Whether a folder is a table of casacore, as a measurement set is (its file `table.dat`)."""
+    return (path / "table.dat").is_file()
+
+
 def open_visibilities(path: Path) -> Source:
     """Open a file of visibilities; only its autocorrelations are read.
 
-    The x dipole of pyuvdata's convention becomes X, y becomes Y; a note says where their arms point.
+    The x feed of pyuvdata becomes X, y becomes Y; their angles, north through east, are the azimuths of the arms.
     """
     try:
         from pyuvdata import UVData
     except ImportError as error:
         raise MissingExtraError(f"reading {path.name}", "import") from error
+    if path.is_dir() and find_spec("casacore") is None:
+        raise MissingExtraError(f"reading the measurement set {path.name}", "casa")
     try:
         data = UVData()
-        data.read(path, read_data=False, run_check=False)
-    except (OSError, ValueError, KeyError, IndexError) as error:
+        data.read(str(path), read_data=False, run_check=False)
+    except (OSError, RuntimeError, ValueError, KeyError, IndexError) as error:
         raise UnreadableFileError(f"{path}: pyuvdata cannot read it ({str(error)[:120]})") from error
     letters = [_LETTERS.get(int(number)) for number in data.polarization_array]
     if not any(letters):
@@ -52,6 +60,7 @@ def open_visibilities(path: Path) -> Source:
         dipole=np.tile([str(letters[k]) for k in polarisations], antennas.size),
         read=lambda: _read(path, np.unique(data.time_array), antennas, polarisations, order),
         notes=_describe(data),
+        arms_deg=_find_arms(path, data.telescope),
     )
 
 
@@ -59,16 +68,23 @@ def _describe(data: Any) -> tuple[str, ...]:
     telescope = data.telescope
     latitude, longitude, height = telescope.location_lat_lon_alt_degrees
     notes = [f"{telescope.name} stands at {latitude:.4f} deg north, {longitude:.4f} deg east, {height:.0f} m"]
-    orientation = telescope.get_x_orientation_from_feeds() if telescope.feed_angle is not None else None
-    arm = {"north": "0 deg, that of Y at 90 deg", "east": "90 deg, that of Y at 0 deg"}.get(str(orientation))
-    if arm:
-        notes.append(f"the arm of X points to {arm} (the file's x orientation is {orientation})")
-    else:
-        notes.append("the file does not say where the arms of X and Y point")
     units = data.vis_units
     if units not in ("K", "Jy"):
         notes.append(f"the unit of the power is the correlator's ({units}): C becomes relative")
     return tuple(notes)
+
+
+def _find_arms(path: Path, telescope: Any) -> dict[str, float]:
+    """Azimuths of the arms by dipole, deg, empty where the file does not say: the feed angles of all antennas."""
+    if telescope.feed_angle is None:
+        return {}
+    feeds, angle = np.asarray(telescope.feed_array), np.degrees(telescope.feed_angle)
+    arms = {feed.upper(): np.unique(np.round(angle[feeds == feed], 3)) for feed in ("x", "y") if np.any(feeds == feed)}
+    unlike = [letter for letter, found in arms.items() if found.size > 1]
+    if unlike:
+        found = f"{arms[unlike[0]].min():g} to {arms[unlike[0]].max():g} deg"
+        raise BadInputError(f"{path}: arm of {unlike[0]}", "the same azimuth for all antennas", found)
+    return {letter: float(found[0]) for letter, found in arms.items()}
 
 
 def _read(
@@ -76,10 +92,12 @@ def _read(
 ) -> Iterator[Integrations]:
     from pyuvdata import UVData
 
-    for start in range(0, times.size, TIMES_AT_ONCE):
+    # of a measurement set pyuvdata reads the whole, whatever is asked for: once is enough
+    at_once = times.size if path.is_dir() else TIMES_AT_ONCE
+    for start in range(0, times.size, at_once):
         data = UVData()
-        wanted = times[start : start + TIMES_AT_ONCE]
-        data.read(path, times=wanted, ant_str="auto", run_check=False)
+        wanted = times[start : start + at_once]
+        data.read(str(path), times=wanted, ant_str="auto", run_check=False)
         at = np.searchsorted(wanted, data.time_array)
         row = np.searchsorted(antennas, data.ant_1_array)
         power = np.full((wanted.size, antennas.size, len(polarisations), order.size), np.nan)

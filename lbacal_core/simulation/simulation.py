@@ -36,8 +36,13 @@ from lbacal_core.simulation.prior import DEFAULT_SKY_BUDGET, SkyPrior, list_chan
 from lbacal_core.sky.differences import DifferenceModels, ModelDifferences, compute_model_differences
 from lbacal_core.sky.power import compute_sky_power
 from lbacal_core.sky.sky_terms import SkyTerm
-from lbacal_core.sky.table import SkyPower, read_sky_power
+from lbacal_core.sky.table import SHORTEST_SMEARED_H, SkyPower, read_sky_power
+from lbacal_core.spectra.spectra import Spectra
 
+SIDEREAL_HOUR_S = 86164.0905 / 24
+LARGEST_UNLIKE_H2 = 0.9
+"""Mean departure of the squared durations of spectra from their mean, sidereal hours^2, up to which one duration stands
+for all: it moves the second harmonic of an event by 1 %, (2 pi)^2 / (6 x 24^2) of it."""
 MOST_REMEMBERED = 64
 """Fits of single paths of a station's year and polarisation take 9 MB."""
 
@@ -150,6 +155,20 @@ class Simulation:
     def at_its_word(self) -> Simulation:
         """The same with a P_sky that cannot be wrong."""
         return replace(self, given=self.sky_power, is_own_sky=False)
+
+    def smeared(self, spectra: Spectra) -> Simulation:
+        """The same where the sky moves while spectra are recorded; itself where it does not.
+
+        One duration stands for all, the root mean square: what a duration h takes of a harmonic goes with h^2.
+        """
+        square = (spectra.seconds / SIDEREAL_HOUR_S) ** 2
+        if len(spectra) == 0 or square.max() < SHORTEST_SMEARED_H**2:
+            return self
+        if np.mean(np.abs(square - square.mean())) > LARGEST_UNLIKE_H2:
+            short, long = np.percentile(spectra.seconds, [5, 95]) / 3600
+            expected = "durations that are alike: fit the short and the long integrations by themselves"
+            raise BadInputError(f"{spectra.origin}: duration_s", expected, f"{short:.2g} to {long:.2g} h")
+        return replace(self, given=self.sky_power.smeared(float(np.sqrt(square.mean()))), is_own_sky=self.is_own_sky)
 
     def sidereal_time(self, station: str | None, time_unix: Floats) -> Floats:
         """Sidereal time where a station stands, hours, of instants in s UTC; shape (event,)."""

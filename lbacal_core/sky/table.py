@@ -133,6 +133,8 @@ def _undetermined(place: str, lst_hours: Floats, harmonics: int) -> BadInputErro
 # What a sky power was computed for: instrument, sky, antenna and arms, with their hashes (docs/formats.md).
 
 ARM_TOLERANCE_DEG = 1e-6
+SHORTEST_SMEARED_H = 10.0 / 3600
+"""A shorter integration takes 2e-6 of the eighth harmonic, and less of the others: the sky stands still."""
 SHOWN = 12
 """Digits of a hash that a sentence shows."""
 
@@ -353,6 +355,22 @@ class SkyPower:
         Shape (event, freq), unit of `power`.
         """
         return read_at(self.power[dipole], np.asarray(lst_hours) - self.lst_hours[0])
+
+    def smeared(self, hours: float) -> SkyPower:
+        """The mean over so many sidereal hours about each instant; the same object where that is a moment.
+
+        The mean of harmonic k over a window of h hours is sinc(k h / 24) times that at its middle, with
+        sinc(x) = sin(pi x) / (pi x).
+        """
+        if hours < SHORTEST_SMEARED_H:
+            return self
+        share = np.sinc(np.arange(self.lst_hours.size // 2 + 1) * hours / DAY_HOURS)[:, None]
+        power = {
+            dipole: np.fft.irfft(np.fft.rfft(values, axis=0) * share, n=self.lst_hours.size, axis=0)
+            for dipole, values in self.power.items()
+        }
+        stations = {name: one.smeared(hours) for name, one in self.stations.items()}
+        return replace(self, power=power, stations=stations).of_inputs(hash_content([self.digest(), hours]))
 
     def as_dict(self) -> dict[str, Any]:
         """The content of a sky power file."""

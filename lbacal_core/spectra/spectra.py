@@ -23,6 +23,8 @@ from lbacal_core.spectra.quarters import Quarters, hash_quarters, hash_window, p
 FORMAT = "lbacal-spectra-1"
 EARLIEST_UNIX = datetime(2009, 1, 1, tzinfo=UTC).timestamp()
 DAY_S = 86_400.0
+BLOCK_S = 1024 / 200e6
+"""Length of a block of LOFAR's transient buffer (1024 samples at 200 MHz), the unit of `blocks` in a spectra file."""
 MAX_COVARIATES = 16
 """Covariates of one event."""
 _COVARIATE = re.compile(r"[a-z][a-z0-9_]{0,39}", re.ASCII)
@@ -39,6 +41,8 @@ _KINDS = {
     "dipole": hdf5.STRINGS,
     "blocks": hdf5.INTEGERS,
 }
+_ARM = "azimuth_deg_"
+"""The attribute of a file that has the azimuth of an arm begins with this, and ends with the dipole."""
 _OPTIONAL = {"width_mhz": hdf5.NUMBERS, "duration_s": hdf5.NUMBERS, "flag": hdf5.STRINGS}
 
 
@@ -71,6 +75,8 @@ class Spectra:
         flagged spectra, and `read_spectra` leaves them out.
     left_out
         How many flagged spectra were left out when the file was read, by flag.
+    arms_deg
+        Azimuths of the arms by dipole, north through east, deg, where who recorded says so.
     """
 
     frequency_mhz: Floats
@@ -88,6 +94,7 @@ class Spectra:
     duration_s: Floats | None = None
     flag: NDArray[np.str_] | None = None
     left_out: Mapping[str, int] = field(default_factory=dict)
+    arms_deg: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         require_channels(self.origin, self.frequency_mhz)
@@ -195,6 +202,7 @@ class Spectra:
             None if self.duration_s is None else self.duration_s[rows],
             None if self.flag is None else self.flag[rows],
             self.left_out,
+            self.arms_deg,
         )
 
     def without_flagged(self) -> Spectra:
@@ -210,6 +218,11 @@ class Spectra:
         """How many spectra were left out for their flags, in words."""
         words = ", ".join(f"{count} {flag}" for flag, count in self.left_out.items())
         return f"{sum(self.left_out.values())} spectra are flagged ({words})"
+
+    @property
+    def seconds(self) -> Floats:
+        """How long each spectrum was recorded, shape (row,), s: as given, else by its blocks."""
+        return self.duration_s if self.duration_s is not None else np.asarray(self.blocks * BLOCK_S)
 
     def channel_widths(self) -> Floats:
         """Widths of the channels, shape (freq,), MHz: as given, else 1 on a grid of whole MHz, else the spacing."""
@@ -265,7 +278,7 @@ def read_spectra(path: Path, now_unix: float | None = None) -> Spectra:
         raise UnreadableFileError(f"{path}: expected a spectra file (HDF5), found an empty file")
     try:
         with h5py.File(path, "r") as file:
-            content = _read_open_file(file, path.name)
+            content = _read_open_file(file, path.name) | {"arms_deg": _read_arms(file, path.name)}
     except hdf5.HDF5_FAILURES as error:
         found = f"something unreadable ({str(error)[:120]}): lbacal import reads other formats"
         raise UnreadableFileError(f"{path}: expected a spectra file (HDF5), found {found}") from error
@@ -359,6 +372,14 @@ def _resistance(file: h5py.File, place: str) -> float:
     return float(values[0])
 
 
+def _read_arms(file: h5py.File, place: str) -> dict[str, float]:
+    found = {name.removeprefix(_ARM): value for name, value in file.attrs.items() if name.startswith(_ARM)}
+    for letter, value in found.items():
+        if not (np.ndim(value) == 0 and np.asarray(value).dtype.kind in "fiu" and np.isfinite(value)):
+            raise BadInputError(f"{place}: attribute {_ARM}{letter}", "a number of degrees", str(value)[:40])
+    return {letter: float(value) for letter, value in found.items()}
+
+
 def _listed(names: list[str]) -> str:
     """Names for a sentence: in quotes where they are odd, and not thousands of them."""
     shown = [name if name.isprintable() and len(name) < 40 else ascii(name)[:40] for name in names[:5]]
@@ -370,6 +391,7 @@ def write_spectra(spectra: Spectra, file: Path | IO[bytes]) -> None:
     with h5py.File(file, "w") as opened:
         opened.attrs["format"] = FORMAT
         opened.attrs["resistance_ohm"] = spectra.resistance_ohm
+        opened.attrs.update({f"{_ARM}{letter}": azimuth for letter, azimuth in spectra.arms_deg.items()})
         opened["frequency_mhz"] = spectra.frequency_mhz
         opened["power"] = spectra.power
         for name in _COLUMNS:
@@ -409,6 +431,10 @@ def join_spectra(parts: Sequence[Spectra]) -> Spectra:
         if (one.duration_s is None) != (first.duration_s is None):
             has, lacks = (one, first) if first.duration_s is None else (first, one)
             raise BadInputError(f"{lacks.origin}: duration_s", f"durations as in {has.origin}", "none")
+        for letter, azimuth in one.arms_deg.items():
+            if azimuth != first.arms_deg.get(letter, azimuth):
+                place = f"{one.origin}: arm of {letter}"
+                raise BadInputError(place, f"{first.arms_deg[letter]:g} deg as in {first.origin}", f"{azimuth:g} deg")
     parts = _without_repetitions(parts)
     names = sorted({name for part in parts for name in part.environment})
     durations = [part.duration_s for part in parts if part.duration_s is not None]
@@ -427,6 +453,7 @@ def join_spectra(parts: Sequence[Spectra]) -> Spectra:
         first.width_mhz,
         np.concatenate(durations) if durations else None,
         left_out={flag: sum(part.left_out.get(flag, 0) for part in parts) for part in parts for flag in part.left_out},
+        arms_deg={letter: azimuth for part in parts for letter, azimuth in part.arms_deg.items()},
     )
 
 

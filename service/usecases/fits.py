@@ -227,7 +227,8 @@ class Fits:
             own = None if spectra is None or not np.any(rows) else spectra.select(rows)
             beside = neighbours.beside(piece.since, piece.until)
             with threadpool_limits(1):
-                continued = continue_fit(piece.lines, own, self.simulation, [one for _, one in beside])
+                simulation = self.simulation if own is None else self.simulation.smeared(own)
+                continued = continue_fit(piece.lines, own, simulation, [one for _, one in beside])
             for told in piece.told:
                 shift = _find_shift(told, continued)
                 if shift is None and not told.curves:
@@ -251,7 +252,8 @@ class Fits:
         enough = model.of_stations([name for name in stations if _has_enough(spectra, name)])
 
         def fit() -> FittedCauses:
-            return fit_causes(spectra, self.simulation.with_causes(enough), are_sizes_known=are_sizes_known)
+            simulation = self.simulation.with_causes(enough).smeared(spectra)
+            return fit_causes(spectra, simulation, are_sizes_known=are_sizes_known)
 
         if len(stations) != 1:
             return fit()

@@ -110,7 +110,7 @@ class Investigations:
         from lbacal_core.discovery.left_open import add_left_open
         from lbacal_core.discovery.report import investigate  # a second to import, and only workers need it
 
-        return add_left_open(*investigate(spectra, self.simulation.with_causes(model)))
+        return add_left_open(*investigate(spectra, self.simulation.with_causes(model).smeared(spectra)))
 
     def get(self, name: str) -> Investigation:
         """One investigation, by its id or by as many of its first digits as no other begins with."""

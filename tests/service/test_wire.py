@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 import socket
 import time
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from astropy.table import Table
 from fastapi.testclient import TestClient
 
 import lbacal
@@ -57,7 +60,9 @@ def ask_all(ask: Callable[..., bytes], **more: Any) -> list[Any]:
         for question in questions:
             for kind in KINDS if at == "2014-03-01" else ("json",):
                 try:
-                    said.append(ask(**question, at=at, kind=kind, **more))
+                    with warnings.catch_warnings():
+                        warnings.simplefilter("ignore", lbacal.CachedAnswerWarning)
+                        said.append(ask(**question, at=at, format=kind, **more))
                 except lbacal.RefusedError as error:
                     said.append((error.status, error.code))
     return said
@@ -67,13 +72,24 @@ def test_the_cache_gives_the_bytes_that_the_server_gave(factory: Factory, tagged
     with listening(factory) as url, lbacal.Client(url) as client:
         snapshot, fetched = client.sync(tagged)
         assert fetched == sum(len(station["edges"]) for station in snapshot.stations.values())
-        served = ask_all(client.ask, as_of=snapshot.as_of)
+        served = ask_all(client.effective, as_of=snapshot.as_of)
     assert len({str(one) for one in served}) > 20, "the questions have many answers"
     with lbacal.Client(ABSENT) as client:
-        assert ask_all(client.ask, as_of=snapshot.as_of) == served
-        assert ask_all(client.ask, tag=tagged) == served
-        assert ask_all(client.ask) == served
+        assert ask_all(client.effective, as_of=snapshot.as_of) == served
+        assert ask_all(client.effective, tag=tagged) == served
+        assert ask_all(client.effective) == served
     assert cache.is_dir()
+
+
+@pytest.mark.usefixtures("tagged")
+def test_python_is_answered_in_the_format_that_it_names(factory: Factory, monkeypatch: pytest.MonkeyPatch) -> None:
+    with listening(factory) as url:
+        monkeypatch.setenv("LBACAL_URL", url)
+        table = lbacal.effective(**PATH, at="2014-03-01")
+        body = lbacal.effective(**PATH, at="2014-03-01", format="ecsv")
+        with pytest.raises(lbacal.RefusedError, match="nuradio"):
+            lbacal.effective(**PATH, at="2014-03-01", format="xml")
+    np.testing.assert_array_equal(Table.read(body.decode(), format="ascii.ecsv")["c"], table["c"].value)
 
 
 @pytest.mark.usefixtures("cache")
@@ -116,10 +132,10 @@ def test_a_second_sync_fetches_only_what_is_damaged(factory: Factory, tagged: st
         content[len(content) // 2] ^= 1
         path.write_bytes(content)
         with pytest.raises(CacheError, match=r"is damaged or missing: run `lbacal sync paper`"):
-            ask_all(lbacal.Client(ABSENT).ask)
+            ask_all(lbacal.Client(ABSENT).effective)
         (uses,) = {sum(d == digest for _, d in s["edges"]) for s in snapshot.stations.values()} - {0}
         assert client.sync(tagged)[1] == uses
-        assert len(ask_all(lbacal.Client(ABSENT).ask)) > 0
+        assert len(ask_all(lbacal.Client(ABSENT).effective)) > 0
 
 
 def test_every_flipped_byte_of_a_list_is_noticed(factory: Factory, tagged: str, cache: Path) -> None:
@@ -150,18 +166,18 @@ def test_without_a_cache_it_fails_within_two_seconds_and_names_the_next_step(
     with pytest.raises(
         lbacal.UnreachableError, match=r"nobody answers at .*: start `lbacal serve` there, or set LBACAL_URL"
     ):
-        lbacal.Client(ABSENT).ask(**PATH, at="2014-03-01")
+        lbacal.Client(ABSENT).effective(**PATH, at="2014-03-01")
     with socket.create_server(("127.0.0.1", 0), backlog=0) as deaf:
         blocked = [socket.create_connection(deaf.getsockname()) for _ in range(1)]
         url = f"http://127.0.0.1:{deaf.getsockname()[1]}"
         with pytest.raises(lbacal.UnreachableError):
-            lbacal.Client(url).ask(**PATH, at="2014-03-01")
+            lbacal.Client(url).effective(**PATH, at="2014-03-01")
         for one in blocked:
             one.close()
     assert time.monotonic() - began < 5.0
     monkeypatch.setenv("LBACAL_CACHE", str(tmp_path))
     with pytest.raises(CacheError, match="holds no tag: run `lbacal sync TAG`"):
-        lbacal.Client(ABSENT).ask(**PATH, at="2014-03-01")
+        lbacal.Client(ABSENT).effective(**PATH, at="2014-03-01")
 
 
 @pytest.mark.usefixtures("cache")
@@ -183,4 +199,4 @@ def test_what_a_cache_does_not_know_is_refused_in_a_sentence(factory: Factory, t
         ({"tag": "other"}, "run `lbacal sync other`"),
     ):
         with pytest.raises(LbacalError, match=sentence):
-            client.ask(**{"at": "2014-03-01", **question})
+            client.effective(**{"at": "2014-03-01", **question})

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -33,3 +37,22 @@ def test_events_drawn_together_move_the_mean_of_a_station_as_held_out_events_do(
     assert row["pair"] == pytest.approx(row["of_pair"], abs=4e-4)  # 0.03^2, and 1.5e-4 by 400 events
     bad = [{**row, "together": 2.0 + 1e-3 * k} for k in range(3)]
     assert verdicts_of("prediction", "together", bad)["together"] == "refuted"
+
+
+@pytest.mark.shared
+def test_measured_over_predicted_power_is_what_the_page_says(shared: Path, tmp_path: Path, repository: Path) -> None:
+    """The ratio has no limit: it is what it is, and the page says so."""
+    for command in (
+        ["lbacal", "spectra", str(shared / "data/tbb"), "--output", str(tmp_path / "S.h5")],
+        ["validation.scripts.compare_prediction", str(tmp_path / "S.h5")],
+    ):
+        ran = subprocess.run(
+            [sys.executable, "-m", *command], capture_output=True, text=True, check=True, cwd=repository
+        )
+    sys.stdout.write(ran.stdout)
+    rows = [line.split() for line in ran.stdout.splitlines()[1:]]
+    median = {(row[1], row[4]): row[5] for row in rows}
+    page = " ".join((repository / "docs/how-to/predict.md").read_text().split())
+    x, y, old = (median[path] for path in (("CS011", "X"), ("CS011", "Y"), ("CS001", "Y")))
+    assert f"is {x} and {y} in X and Y of CS011 in 2011 and {old} in a trace of CS001 of 2008" in page
+    assert len(rows) == 5

@@ -52,7 +52,7 @@ def make_instrument(name: str, place_deg: tuple[float, float], spectra: Spectra,
 def read_hera(data: Path) -> tuple[Spectra, Instrument]:
     source = open_source(data / "other" / "hera_2459122.25108_autos.uvh5")
     spectra = average(source, 60.0, choose_channels(source, band_mhz=(50, 225), width_mhz=1.0)).spectra
-    return spectra, make_instrument("HERA", HERA_DEG, spectra, {"X": EAST_DEG, "Y": 0.0})
+    return spectra, make_instrument("HERA", HERA_DEG, spectra, dict(spectra.arms_deg))
 
 
 def _one_integration(station: str, mhz: float, time_unix: float, powers: dict[tuple[int, str], float]) -> Spectra:
@@ -72,6 +72,7 @@ def read_eda2(data: Path) -> tuple[Spectra, Instrument]:
         for letter in "xy"
         for antenna, power in zip(read["antenna"], read[letter], strict=True)
     }
+    # nothing says where the arms of X and Y point, and one instant does not use it
     spectra = _one_integration("EDA2", 78.125, 1_639_180_800.0, powers)
     return spectra, make_instrument("EDA2", EDA2_DEG, spectra, {"X": EAST_DEG, "Y": 0.0})
 

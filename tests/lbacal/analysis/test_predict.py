@@ -76,6 +76,7 @@ def test_the_command_writes_events_of_an_instrument_alone(command: Lbacal, tmp_p
         assert root.attrs["power_unit"] == "W/MHz"
     for wrong, sentence in (
         ((*alone, "--realisations", 10, "--output", "P.json"), "--realisations: expected an --output"),
+        ((*path, "--with", "R.json", "--output", "P.h5"), "--with: expected --simulation beside it"),
         ((*alone, "--dipole", "Q", "--output", "P.h5"), "dipole"),
         ((*alone, "--at", "2014", "--output", "P.h5"), "ISO 8601"),
         ((*alone, "--antenna", "99", "--output", "P.h5"), "an antenna of instrument lofar-superterp"),

@@ -202,6 +202,32 @@ def test_events_of_a_trigger_stay_single_and_keep_their_names_and_flags(tmp_path
 
 
 @pytest.mark.parametrize(
+    ("options", "events", "words"),
+    [
+        ([], ["20140501T030000", "first", "second"], "3 events or intervals of 900 s (2 with an event_id)"),
+        (["--events"], ["20140501T030001", "20140501T030101", "first", "second"], "4 events"),
+        (["--average", "900"], ["20140501T030000"], "1 intervals of 900 s"),
+    ],
+)
+def test_integrations_that_have_names_are_averaged_only_on_request(
+    tmp_path: Path, lbacal: Lbacal, options: list[str], events: list[str], words: str
+) -> None:
+    source, output = tmp_path / "events.csv", tmp_path / "S.h5"
+    named = ["", "first", "second", "second", ""]
+    rows = [f"2014-05-01T03:00:{20 * k + 1:02d}Z,4,X,2,{name},{k + 1},2" for k, name in enumerate(named[:3])]
+    rows += [f"2014-05-01T03:01:{k:02d}Z,4,X,2,{name},{k + 4},2" for k, name in enumerate(named[3:])]
+    source.write_text("\n".join(["time,antenna,dipole,duration_s,event_id,40,41", *rows]))
+    code, said, _ = lbacal("import", source, "--output", output, *options)
+    assert code == 0
+    assert words in said
+    spectra = read_spectra(output)
+    assert sorted(spectra.event_id.tolist()) == events
+    if not options:
+        powers = dict(zip(spectra.event_id.tolist(), spectra.power[:, 0].tolist(), strict=True))
+        assert powers == {"20140501T030000": 3.0, "first": 2.0, "second": 3.5}
+
+
+@pytest.mark.parametrize(
     ("options", "message"),
     [
         (["--events", "--average", "60"], "average or events"),

@@ -13,7 +13,7 @@ import lbacal
 from lbacal_core.calibration.prediction import EventNoise, predict_path
 from lbacal_core.causes.model import AdoptedCause, Model
 from lbacal_core.curves.curves import CalibrationCurve
-from lbacal_core.discovery.forward import divide_out, predict
+from lbacal_core.discovery.forward import divide_out, predict, predict_alone
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.simulation.simulation import Simulation, noise_at_input
 from lbacal_core.spectra.spectra import Spectra
@@ -96,6 +96,22 @@ def test_a_cause_acts_on_the_chain_as_if_written_out(found: lbacal.Calibration, 
     gain = slope * (1 + 0.05 * by) if cause == "gain_temperature" else slope
     np.testing.assert_allclose(told.power, gain * total)
     assert ("causes" in told.contributions) == (cause != "gain_temperature" and by != 0.0)
+
+
+@pytest.mark.parametrize("celsius", [-5.0, 10.0, 25.0])
+def test_a_cause_acts_on_an_instrument_alone_as_if_written_out(celsius: float) -> None:
+    simulation = Simulation(load_instrument("lofar-superterp")).with_causes(Model((FOLLOWS,)))
+    told = predict_alone(simulation, "CS002", 17, "X", AT, celsius)
+    instrument, by = simulation.instrument, (celsius - 10.0) / 10.0
+    loss = instrument.cables[instrument.cable_of("CS002", 17, AT)]
+    sky = simulation.sky_at("CS002", "X", np.array([AT]))[0]
+    expected = sky * instrument.antenna_gain * loss * instrument.receiver_gain * (1.0 + 0.05 * by)
+    np.testing.assert_allclose(told.power, expected, rtol=1e-9)
+    np.testing.assert_allclose(told.errors[-1], np.log((1.0 + 0.06 * by) / (1.0 + 0.05 * by)), atol=1e-9)
+    np.testing.assert_allclose(told.contributions["sky"], sky)
+    assert told.notes[0].startswith("with the adopted cause gain_temperature in station, 0.05")
+    elsewhere = simulation.with_causes(Model((replace(FOLLOWS, station="CS003"),)))
+    np.testing.assert_allclose(predict_alone(elsewhere, "CS002", 17, "X", AT).power, expected / (1.0 + 0.05 * by))
 
 
 def test_only_causes_of_the_path_at_the_instant_act(found: lbacal.Calibration) -> None:

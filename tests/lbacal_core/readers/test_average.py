@@ -107,3 +107,44 @@ def test_paths_that_no_spectra_file_could_hold_are_refused(antennas, dipoles, me
             "made", frequency, np.ones(2), np.array(["A"] * len(antennas)), np.array(antennas), np.array(dipoles),
             lambda: iter(()),
         )  # fmt: skip
+
+
+def drifting_sky(intervals: int, channels: int) -> np.ndarray:
+    """Power that varies by a half over the day, less at high frequencies, with a filter of its own for each path."""
+    day = 2 * np.pi * np.arange(intervals) / intervals
+    slope = np.linspace(1.0, 0.8, channels)
+    shape = 1.0 + 0.8 * np.sin(np.linspace(0.0, 9.0, channels)) ** 2
+    sky = np.exp(0.4 * np.cos(day)[:, None, None] * slope)
+    return sky * shape * np.array([1.0, 3.0, 0.2])[:, None]
+
+
+def test_a_spectrum_that_lacks_one_channel_is_kept_with_what_the_path_has_in_it_at_other_times():
+    truth = drifting_sky(20, FREQUENCY.size)
+    power = truth.copy()
+    power[3, 1, 5], power[3, 0, 0], power[9, 1, 15] = np.nan, 0.0, -1.0
+    time = 1.4e9 + np.arange(20.0)
+    found = average(make_source(power, time, np.ones(20)), 1.0)
+    assert (found.spectra_filled, found.spectra_left_out, len(found.spectra)) == (3, 0, 60)
+    measured = found.spectra.power.reshape(20, PATHS, -1)
+    is_recorded = np.isfinite(power) & (power > 0)
+    np.testing.assert_array_equal(measured[is_recorded], power[is_recorded])
+    # what remains is how differently the sky varies in a channel and beside it: 0.4 x 0.2 / 15 between neighbours
+    np.testing.assert_allclose(measured, truth, rtol=0.4 * 0.2 / 15)
+
+
+@pytest.mark.parametrize(
+    ("lacking", "filled", "lost"),
+    [
+        ([(k, 1, 5) for k in range(4)], 4, 0),
+        ([(k, 1, 5) for k in range(5)], 0, 5),
+        ([(3, 1, 5), (3, 1, 6)], 0, 1),
+        ([(k, 1, k) for k in range(16)], 16, 0),
+        ([(k, 1, k % 16) for k in range(17)], 0, 17),
+    ],
+    ids=["in a fifth", "in more", "two of 16 channels", "four complete", "three complete"],
+)
+def test_a_spectrum_that_lacks_much_or_often_is_left_out(lacking, filled, lost):
+    power = drifting_sky(20, FREQUENCY.size)
+    power[tuple(np.transpose(lacking))] = np.nan
+    found = average(make_source(power, 1.4e9 + np.arange(20.0), np.ones(20)), 1.0)
+    assert (found.spectra_filled, found.spectra_left_out) == (filled, lost)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from astropy.io import fits
 
+import lbacal
 from lbacal_core.errors import BadInputError, UnreadableFileError
 from lbacal_core.readers import statistics
 from lbacal_core.readers.open import open_source
@@ -134,6 +135,19 @@ def write_mini_arrays(path: Path, power: np.ndarray, jd: np.ndarray) -> None:
 @pytest.fixture
 def power() -> np.ndarray:
     return np.random.default_rng(3).uniform(1.0, 2.0, (INSTANTS, MINI_ARRAYS.size, 2, SUB_BANDS))
+
+
+def test_arms_of_mini_arrays_are_compared_with_those_of_the_instrument(tmp_path, power):
+    write_mini_arrays(tmp_path / "a.fits", power, START_JD + np.arange(INSTANTS) / 86_400)
+    at = lbacal.Site(47.4, 2.2)
+    for azimuth, is_right in ((135, True), (315, True), (45, False)):
+        antenna = lbacal.Antenna("short-dipole", {"NE": 45, "NW": azimuth})
+        instrument = lbacal.Instrument("mine", at, antenna, lbacal.Chain(), [40.2, 40.8], antennas=[0, 2, 55])
+        if is_right:
+            assert lbacal.import_data(tmp_path / "a.fits", 60, instrument).arms_deg == {"NE": 45.0, "NW": 135.0}
+        else:
+            with pytest.raises(BadInputError, match=r"arm of NW: expected 45 deg.*found 135 deg"):
+                lbacal.import_data(tmp_path / "a.fits", 60, instrument)
 
 
 def test_mini_arrays_are_antennas_and_keep_the_names_of_their_polarisations(tmp_path, power):

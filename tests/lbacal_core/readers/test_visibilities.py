@@ -19,6 +19,7 @@ def test_hera_autocorrelations_are_read_as_the_file_has_them(shared):
     assert any("-30.72" in note for note in source.notes)
     spectra = average(source, 60.0, choose_channels(source, band_mhz=(50, 200), width_mhz=1.0)).spectra
     assert len(spectra) == 26 * 2
+    assert spectra.arms_deg == {"X": 0.0, "Y": 90.0}  # its header says `x_orientation` NORTH
     with h5py.File(path) as file:
         rows = np.asarray(file["Header/ant_1_array"]) == int(spectra.antenna[0])
         frequency = np.ravel(file["Header/freq_array"]) / 1e6
@@ -68,7 +69,7 @@ def test_autocorrelations_of_both_formats_are_read_with_their_flags(tmp_path, su
         data.phase_to_time(data.time_array[0])
         data.write_uvfits(path)
     source = open_source(path)
-    assert any("X points to 90 deg" in note for note in source.notes)
+    assert source.arms_deg == {"X": 90.0, "Y": 0.0}
     spectra = average(source, None, choose_channels(source, width_mhz=0.8)).spectra
     assert len(set(spectra.event_id.tolist())) == 4
     levels = {(int(a), str(d)): p[0] for a, d, p in zip(spectra.antenna, spectra.dipole, spectra.power, strict=True)}

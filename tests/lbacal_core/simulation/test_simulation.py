@@ -85,6 +85,28 @@ def test_another_instrument_or_sky_does_not_take_over_what_was_computed(simulati
     assert other.at_station("CS002").made is not other.made
 
 
+def test_events_leave_the_simulation_as_it_is_and_hours_smear_its_sky(simulation, two_stations):
+    assert simulation.smeared(two_stations) is simulation
+    rows = len(two_stations)
+    for own in (False, True):
+        long = replace(simulation, is_own_sky=own).smeared(replace(two_stations, duration_s=np.full(rows, 3 * 3590.17)))
+        assert long.is_own_sky is own
+        np.testing.assert_allclose(long.sky_power.power["X"], simulation.sky_power.smeared(3.0).power["X"], rtol=1e-6)
+    # without durations a file counts blocks of 5.12 us
+    by_blocks = replace(two_stations, blocks=np.full(rows, round(3 * 3590.17 / 5.12e-6)))
+    assert simulation.smeared(by_blocks).sky_power.power["X"] == pytest.approx(long.sky_power.power["X"])
+
+
+def test_durations_that_are_unlike_are_refused_and_a_few_shorter_ones_are_not(simulation, two_stations):
+    rows = len(two_stations)
+    hours = np.full(rows, 2.0)
+    hours[:2] = 1.0
+    simulation.smeared(replace(two_stations, duration_s=3600 * hours))
+    hours[: rows // 2] = 0.25
+    with pytest.raises(BadInputError, match=r"duration_s: expected durations that are alike.*found 0\.25 to 2 h"):
+        simulation.smeared(replace(two_stations, duration_s=3600 * hours))
+
+
 def test_a_sky_power_on_other_channels_or_of_another_instrument_is_refused(simulation):
     some = simulation.instrument
     fewer = replace(

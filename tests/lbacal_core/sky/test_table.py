@@ -1,6 +1,7 @@
 import csv
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -231,3 +232,22 @@ def test_the_published_hourly_tables_were_refused_for_their_uneven_steps(shared,
     assert read.fit.rms < 0.001
     assert read.fit.largest < 0.002
     np.testing.assert_allclose(read.at("Y", np.array(lst)), tables["Y"], rtol=0.002)
+
+
+@pytest.mark.parametrize("hours", [0.25, 3.0, 11.0])
+@pytest.mark.parametrize("size", [9, 24])
+def test_a_smeared_sky_is_its_mean_over_the_window(hours, size):
+    table = make_sky_power(size)
+    table = replace(table, stations={"B": make_sky_power(size, 0.4)})
+    # the middles of 4,000 steps: exact to (12 pi hours / 24 / 4000)^2 / 24 of the fastest wave
+    steps = hours * ((np.arange(4000) + 0.5) / 4000 - 0.5)
+    for one, smeared in ((table, table.smeared(hours)), (table.stations["B"], table.smeared(hours).stations["B"])):
+        expected = [one.at("X", at + steps).mean(axis=0) for at in ANYWHERE[:20]]
+        np.testing.assert_allclose(smeared.at("X", ANYWHERE[:20]), expected, rtol=1e-6)
+    assert table.smeared(hours).digest() != table.digest()
+
+
+def test_a_sky_of_a_moment_stays_the_same_object():
+    table = make_sky_power()
+    assert table.smeared(0.0) is table
+    assert table.smeared(9.0 / 3600) is table

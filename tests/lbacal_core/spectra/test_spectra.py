@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from lbacal_core.errors import BadInputError, LbacalError, UnreadableFileError
 from lbacal_core.hdf5 import FLOATS, INTEGERS, NUMBERS, STRINGS, is_in_file, open_dataset, read_values
-from lbacal_core.spectra.spectra import Spectra, read_columns, read_spectra, write_spectra
+from lbacal_core.spectra.spectra import Spectra, join_spectra, read_columns, read_spectra, write_spectra
 
 NOW = 1_500_000_000.0
 
@@ -142,6 +142,7 @@ WRONG_CONTENT: dict[str, tuple[Callable[[h5py.File], None], str]] = {
     # R_r
     "unequal resistances": (attribute("resistance_ohm", [50.0, 60.0]), "attribute resistance_ohm: expected one number"),
     "negative resistance": (attribute("resistance_ohm", -50.0), "resistance_ohm: expected Ohm > 0, found -50"),
+    "arm that is text": (attribute("azimuth_deg_X", "east"), "attribute azimuth_deg_X: expected a number of degrees"),
     # what would make the library read elsewhere, or never end
     "external link": (
         lambda file: [file.__delitem__("power"), file.__setitem__("power", h5py.ExternalLink("other.h5", "/power"))],
@@ -309,6 +310,15 @@ def test_widths_and_durations_survive_the_file_and_a_selection(two_stations, tmp
     assert read.duration_s.tolist() == [4.0, 2.0]
     assert read.channel_widths().tolist() == [0.2] * channels
     assert given.digest() != two_stations.digest()
+
+
+def test_arms_survive_the_file_and_a_join_and_files_that_disagree_are_refused(two_stations, tmp_path):
+    write_spectra(replace(two_stations, arms_deg={"X": 44.5}), tmp_path / "s.h5")
+    read = read_spectra(tmp_path / "s.h5")
+    early, late = (read.select(read.time_unix < limit) for limit in (read.time_unix.mean(), np.inf))
+    assert join_spectra([early, late]).arms_deg == {"X": 44.5}
+    with pytest.raises(BadInputError, match=r"arm of X: expected 44\.5 deg as in s\.h5, found 90 deg"):
+        join_spectra([early, replace(late, arms_deg={"X": 90.0})])
 
 
 @pytest.mark.parametrize(("name", "values"), [("width_mhz", [0.0]), ("duration_s", [np.nan]), ("width_mhz", [])])
