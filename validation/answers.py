@@ -113,7 +113,7 @@ class Said:
     is_healthy
         Whether the audit finds nothing wrong.
     verdict, axis
-        Of the investigation.
+        What the investigation concludes.
     """
 
     is_misfit: bool

@@ -60,7 +60,7 @@ class RecordError:
 
     @property
     def label(self) -> str:
-        """Of whom it is said, as the target of a finding is called."""
+        """The antennas or the station that it concerns, as the target of a finding is called."""
         antennas = self.line.antennas
         return f"antennas {', '.join(map(str, antennas))}" if antennas else "station"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
@@ -116,7 +117,9 @@ def _scatter(power: Floats) -> float:
         return float("nan")
     own = np.log(power)
     bend = own[..., 1:-1] - (own[..., :-2] + own[..., 2:]) / 2
-    bend = bend - np.nanmedian(bend, axis=2, keepdims=True)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "All-NaN", RuntimeWarning)  # a path without spectra
+        bend = bend - np.nanmedian(bend, axis=2, keepdims=True)
     return float(ROBUST * np.nanmedian(np.abs(bend)) / BEND)
 
 
