@@ -521,6 +521,12 @@ def split_residuals(station: Station, residual: Floats, seeds: Floats) -> Residu
     return Residuals(polarisations, in_mean, mean, deviation - taken, taken, spread, seeds, levels)
 
 
+def mean_of_paths(station: Station, values: Floats) -> Floats:
+    """The mean of each polarisation over the paths that take part in it, shape (polarisation, event, freq)."""
+    polarisation_of = np.unique(station.dipole, return_inverse=True)[1]
+    return split_values(station, values, _is_complete(station.is_present, polarisation_of))[0]
+
+
 def split_values(station: Station, values: Floats, in_mean: NDArray[np.bool_]) -> tuple[Floats, Floats]:
     """The mean of each polarisation, shape (polarisation, event, freq), and each path less it, shape (path, ...).
 

@@ -16,7 +16,7 @@ from scipy.special import ndtr, ndtri
 from lbacal_core.causes.cause import Template, signature, spectral_signature
 from lbacal_core.discovery.baseline import Baseline, fit_baseline
 from lbacal_core.discovery.hypothesis import Hypothesis
-from lbacal_core.discovery.noise import NoiseLevels, split_residuals
+from lbacal_core.discovery.noise import NoiseLevels, mean_of_paths, split_residuals
 from lbacal_core.discovery.project import EventGains, LinearModel
 from lbacal_core.discovery.scan import group_templates
 from lbacal_core.discovery.station import SkyModes, Station
@@ -207,6 +207,9 @@ def fit_sizes(
         baseline = fit_baseline(station, ratio)
         if noise is not None:
             baseline = replace(baseline, terms=with_noise(station, baseline.terms, noise))
+        # before noise is estimated from residuals that are not noise but far off
+        if not float(np.std(mean_of_paths(station, baseline.residual))) < LARGEST_CHANGE:
+            return None
         linear = linearise(station, baseline, modes, empirical, hypotheses)
         if not float(np.std(linear.residuals.mean)) < LARGEST_CHANGE:
             return None

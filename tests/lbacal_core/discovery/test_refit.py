@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.causes.cause import Template
-from lbacal_core.discovery.refit import FOLDS, average_size, open_noise
+from lbacal_core.discovery.refit import FOLDS, average_size, open_noise, refit
 from lbacal_twin.faults.fault import Where
 from lbacal_twin.faults.hardware import GainDrift, GainStep, LnaNoiseSlope
 from lbacal_twin.faults.sky import LstOffset, RfiBroadband
@@ -33,6 +33,14 @@ def test_the_change_of_c_is_that_between_a_fit_with_the_fault_and_one_without(ca
     # A fault that is not quite linear and a size with an error: 6 % of the change.
     assert np.sum(claimed * true) / np.sum(true**2) == pytest.approx(1.0, abs=0.06)
     assert np.corrcoef(claimed.ravel(), true.ravel())[0, 1] > 0.995
+
+
+def test_a_chain_that_is_far_from_the_data_of_its_paths_has_no_sizes(world):
+    look = world.look()
+    power = look.data.power.copy()
+    power[:, ::2] *= np.geomspace(1e12, 1e-12, power.shape[2])
+    far = replace(look.model, linear=replace(look.model.linear, station=replace(look.data, power=power)))
+    assert refit(far, look.fit("lst_offset", look.template("lst_offset")).effect) is None
 
 
 @pytest.mark.long
