@@ -17,6 +17,7 @@ from lbacal_core.discovery.adopted import describe_size
 from lbacal_core.discovery.antennas import AntennaScore
 from lbacal_core.discovery.findings import Finding
 from lbacal_core.discovery.hypothesis import Target, sigma_of
+from lbacal_core.discovery.pictures import picture_antenna, picture_finding, picture_station
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.residual_structure import ResidualStructure
 from lbacal_core.discovery.scan import Score
@@ -51,6 +52,9 @@ def describe(reports: Sequence[StationReport], provenance: Provenance) -> dict[s
             "unexplained": None if report.structure is None else _unexplained(report.structure, report),
             "unidentifiable": [{"cause": cause, "why": why} for cause, why in sorted(report.unidentifiable.items())],
             "deaf": report.deaf,
+            "paths": len(report.station.antenna),
+            "events": len(report.station.event_id),
+            "picture": picture_station(report),
         }
         for report in reports
     ]
@@ -143,6 +147,7 @@ def _finding(finding: Finding, report: StationReport) -> dict[str, Any]:
             "correlations": dict(finding.indistinguishable),
             "note": BY_RATIO if cause.acts_by_ratio else "",
             **_of_noise(finding),
+            "picture": picture_finding(report, finding),
         },
     )
 
@@ -172,6 +177,7 @@ def _antenna_finding(score: AntennaScore, report: StationReport) -> dict[str, An
             "target": score.target.label,
             "correlations": dict(score.similar),
             "note": score.cause.note(score.parameters, score.size),
+            "picture": picture_antenna(report, score),
         },
     )
 
