@@ -58,11 +58,13 @@ class Chart:
     title, x_label, y_label
         With units. The title is also what somebody who does not see the figure is told.
     scales
-        Of x and of y: `linear`, `log`, or `time`, seconds since 1970.
+        Scale of x and of y: `linear`, `log`, or `time`, seconds since 1970.
     x_limits, y_limits
         None: as the data need it.
     rows
         Names of the rows of bars, from the top; row k is at y = k.
+    left
+        Least room for the numbers of y, so that axes of time stand one below the other.
     """
 
     title: str
@@ -75,6 +77,7 @@ class Chart:
     rows: Sequence[str] = ()
     width: int = NARROW
     height: int = HEIGHT
+    left: float = 0.0
 
     def csv(self) -> str:
         """The numbers drawn: series, x, y, and the lower and upper end of bands and errors."""

@@ -39,7 +39,7 @@ class _Drawing:
         self.x = _Scale(chart.scales[0], chart.x_limits or _limits(chart, 0))
         self.y = _Scale(chart.scales[1], chart.y_limits or _limits(chart, 1))
         shown = list(chart.rows) or [text for _, text in self.y.ticks(chart.height)]
-        self.left = 26 + LETTER * max(map(len, shown), default=1)
+        self.left = max(26 + LETTER * max(map(len, shown), default=1), chart.left)
         self.right = chart.width - RIGHT - FOR_COLOURS * any(one.kind == IMAGE for one in chart.series)
         legend = list(_lay_out_legend(chart.series, self.right - self.left))
         self.top, self.bottom = TOP + ROW * (1 + max((row for row, _, _ in legend), default=-1)), chart.height - BOTTOM
@@ -80,7 +80,10 @@ class _Drawing:
         chart = self.chart
         for value, text in self.x.ticks(self.right - self.left):
             self._path("grid", f"M{self.x.at(value):.1f} {self.bottom:.1f}V{self.top:.1f}")
-            self._text(self.x.at(value), self.bottom + 15, text, "mid")
+            is_last = self.x.at(value) + 0.5 * LETTER * len(text) > chart.width
+            self._text(
+                chart.width if is_last else self.x.at(value), self.bottom + 15, text, "end" if is_last else "mid"
+            )
         for value, text in list(enumerate(chart.rows)) or self.y.ticks(chart.height):
             if not chart.rows:
                 self._path("grid", f"M{self.left:.1f} {self.y.at(value):.1f}H{self.right:.1f}")

@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
 from lbacal.analysis.budget import ErrorBudget
 from lbacal.cli.main import app
 from lbacal.pages import investigation as investigation_page
 from lbacal.pages.budget import draw_budget
+from lbacal.pages.chart import Chart
 from lbacal.pages.finding import draw_finding, draw_scores, draw_station, tell_finding
-from lbacal.pages.fit import average_residuals, draw_fit, draw_page
+from lbacal.pages.fit import average_residuals, draw_c, draw_fit, draw_page, plot_fit
 from lbacal.pages.fit_summary import describe_error, explain_chi2, tabulate_curves
 from lbacal.pages.tables import align
 from lbacal_core.calibration.one_event import ErrorOfC
@@ -41,6 +41,7 @@ from tests.lbacal.cli.conftest import Lbacal
 
 FREQUENCY = np.arange(30.0, 81.0)
 C = np.full(51, 2e-5)
+CHARTS = {"X": [Chart("C, polarisation X", "frequency (MHz)", "C (µV per ADC unit)", [])]}
 
 
 def report(curves: int) -> FitReport:
@@ -54,8 +55,9 @@ def report(curves: int) -> FitReport:
 
 
 def test_the_page_is_one_file_with_table_budget_figure_and_the_number() -> None:
-    page = draw_page(report(2), Figure(), "S.h5", ["error of C for one event on one antenna: 11 %"])
+    page = draw_page(report(2), CHARTS, "S.h5", ["error of C for one event on one antenna: 11 %"])
     assert re.findall(r"""(?:src|href)=["'](?!data:|#)""", page) == []
+    assert "<figcaption>C, polarisation X</figcaption>" in page
     for text in ("of S.h5</h1>", "for one event on one antenna: 11 %", "CS002 antenna 1 X", "sky gsm", "6.0"):
         assert text in page
     assert "sky &lt;level&gt;" in page
@@ -63,7 +65,7 @@ def test_the_page_is_one_file_with_table_budget_figure_and_the_number() -> None:
 
 
 def test_many_curves_are_folded_away_below_their_summary() -> None:
-    page = draw_page(report(40), Figure(), "S.h5", ["number"])
+    page = draw_page(report(40), CHARTS, "S.h5", ["number"])
     assert "All 40 curves" in page
     assert page.index("CS002 X") < page.index("<details>") < page.index("CS002 antenna 39 X")
 
@@ -159,22 +161,36 @@ def test_residuals_of_every_scope_are_small_where_the_chain_is_right(
         assert one.shape == (48, 51)
         # gains of events of 5 % in bins of a few events
         assert np.nanmedian(np.abs(one)) < 0.04
-    figure = draw_fit(report, maps, Simulation(INSTRUMENT, sky))
-    labels = [set(axes.get_legend_handles_labels()[1]) for axes in figure.axes]
-    assert {"total error", "statistical error"} <= labels[0]
-    assert {"N_LNA", "N_RCU", "N_ADC", "sky, mean over LST"} <= labels[4]
-    assert {"noise alone", "sky and pattern free", "expected of noise, 95 %"} <= labels[6]
-    assert len(figure.axes[2].images) == 1
-    figure.canvas.draw()
+    charts = draw_fit(report, maps, Simulation(INSTRUMENT, sky))
+    c, residuals, noise, chi2 = charts["X"]
+    (line,) = [one for one in c.series if one.kind == "line" and one.name in OF_X]
+    own = [curve.c for curve in report.curves if curve.dipole == "X"]
+    np.testing.assert_allclose(line.y, 1e6 * np.nanmedian(own, axis=0))
+    assert sum(one.kind == "band" for one in c.series) == 2
+    np.testing.assert_array_equal(residuals.series[0].image, 100 * maps["X"])
+    assert [one.name for one in noise.series] == ["sky, mean over LST", "N_LNA", "N_RCU", "N_ADC"]
+    assert {"noise alone", "sky and pattern free", "expected of noise, 95 %"} <= {one.name for one in chi2.series}
+    plot_fit(charts).canvas.draw()
+
+
+OF_X = ("X: median of 6 curves", "X: median of 2 curves", "array X")
 
 
 def test_a_fit_without_any_curve_is_drawn_empty(spectra: Spectra, sky: SkyPower) -> None:
     few = spectra.select(np.isin(spectra.event_id, np.unique(spectra.event_id)[:10]))
     report = calibrate(few, Simulation(INSTRUMENT), "antenna")
     assert all(curve.c is None for curve in report.curves)
-    draw_fit(
-        report, average_residuals(few, report.curves, Simulation(INSTRUMENT, sky)), Simulation(INSTRUMENT, sky)
-    ).canvas.draw()
+    maps = average_residuals(few, report.curves, Simulation(INSTRUMENT, sky))
+    plot_fit(draw_fit(report, maps, Simulation(INSTRUMENT, sky))).canvas.draw()
+
+
+def test_flagged_channels_are_marked_and_bands_hold_both_errors() -> None:
+    chart = draw_c([curve(flag=("uncertain", *["ok"] * 50))])
+    total, stat = (one for one in chart.series if one.kind == "band")
+    np.testing.assert_allclose(total.high / 20.0 - 1.0, np.hypot(0.01, 0.1))
+    np.testing.assert_allclose(stat.high / 20.0 - 1.0, 0.01)
+    (flagged,) = [one for one in chart.series if one.name == "flagged"]
+    assert flagged.titles == ["CS002 antenna 3 X 30 MHz: uncertain"]
 
 
 FREQUENCY_OF_BUDGET = np.array([30.0, 55.0, 80.0])

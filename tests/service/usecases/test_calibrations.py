@@ -256,7 +256,7 @@ def test_what_a_mean_is_of_is_stored_with_it_shown_and_compared_through_one_cabl
     http: TestClient, service: Factory
 ) -> None:
     with service.database.read() as stores:
-        versions = {version.scope: version for version in stores.versions.newest(10)}
+        versions = {version.scope: version for version in stores.versions.search(None, None, "", 10)}
     assert set(versions) == {Scope(), Scope("CS002")}
     chains: list[ReferenceChain] = [chain for version in versions.values() for chain in version.chains.values()]
     assert len({chain.cables.digest for chain in chains}) == 1, "shared parts are stored once"
