@@ -140,7 +140,7 @@ def investigate(
     content["provenance"]["notes"]["audit"] = audited.sentence
     content = add_left_open(content, stations)
 
-    draw, page = partial(plot_scores, content), partial(draw_page, content)
+    draw, page = partial(plot_scores, content), partial(draw_page, content, measured.origin, simulation.instrument.name)
     return _make(measured.origin, content, simulation, Figures(draw, draw, page, plot_finding))
 
 

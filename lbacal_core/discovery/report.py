@@ -54,6 +54,7 @@ def describe(reports: Sequence[StationReport], provenance: Provenance) -> dict[s
             "deaf": report.deaf,
             "paths": len(report.station.antenna),
             "events": len(report.station.event_id),
+            "dates": [_date(float(pick(report.station.conditions.time_unix))) for pick in (np.min, np.max)],
             "picture": picture_station(report),
         }
         for report in reports
@@ -403,7 +404,7 @@ def investigate(
             "sky_power": simulation.sky_power.digest(),
         },
         settings={"policy": policy.as_dict(), "seed": seed, "own_sky": simulation.is_own_sky},
-        notes={FORM_OF_CHAIN: str(form)},
+        notes={FORM_OF_CHAIN: str(form), "sky_power": simulation.sky_power.note_for(simulation.instrument)},
     )
     if model.is_plain:
         return describe(reports, provenance), reports

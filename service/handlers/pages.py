@@ -180,7 +180,9 @@ def show_jobs(request: Request, use: UseCases, span: InSpan) -> Response:
 def show_drift(request: Request, use: UseCases, span: InSpan, csv: CsvQuery = "") -> Response:
     chart, main = use.drift.shown.get(f"{use.drift.state()} {span.query}", lambda: _tell_drift(use, span))
     changes = [one for one in use.changes.list_all() if one.ended is None and span.has(one.change.date)]
-    return _page(request, use, span, "drift.html", "/drift", {"drift": chart}, csv, main=main, changes=changes)
+    array, life = use.drift.series(Scope()), use.lives.of(None)
+    figures = {"drift": chart, "life": charts.draw_life(life, array, span, use.clock())}
+    return _page(request, use, span, "drift.html", "/drift", figures, csv, main=main, changes=changes, life=life)
 
 
 def _tell_drift(use: Factory, span: Span) -> tuple[Chart, str]:
@@ -327,7 +329,7 @@ def show_calibration(
     for curve in fitted if other is not None else ():
         first = next((one for one in other.curves if one.dipole == curve.dipole and one.c is not None), None)  # type: ignore[union-attr]
         if first is not None:
-            names = (f"version {against[:8]}", f"{curve.dipole} of this one")
+            names = (f"version {against[:8]}", f"this version, {curve.dipole}")
             figures[f"difference-{curve.dipole}"] = draw_difference(first, curve, names)
     scope = version.scope
     others = [one for one in use.calibrations.search(scope, None, "", 100) if one.id != version.id]

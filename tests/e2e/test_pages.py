@@ -87,9 +87,25 @@ def test_a_month_of_a_path_leads_to_c_on_that_date(page: Page, service: Any) -> 
     expect(page.locator("#date h2")).to_have_text("C on 2014-05-15")
 
 
+def test_the_first_screen_is_used_by_keyboard_alone(page: Page, service: Any) -> None:
+    page.goto(service.url + "/")
+    page.get_by_label("dipole").focus()
+    page.keyboard.press("Y")
+    for _ in range(20):
+        page.keyboard.press("Tab")
+        if page.evaluate("document.activeElement.innerText") == "C on that date":
+            break
+    page.keyboard.press("Enter")
+    expect(page.locator("h1")).to_have_text("CS002 antenna 0 Y")
+    page.locator("#life svg a").first.focus()
+    with page.expect_navigation():
+        page.keyboard.press("Enter")
+    assert page.locator("#life, h1").first.is_visible()
+
+
 def test_a_range_drawn_with_the_pointer_is_that_of_every_page_then(page: Page, service: Any) -> None:
     page.goto(service.url + "/drift")
-    box = page.locator("svg[data-time]").bounding_box()
+    box = page.locator("svg[data-time]").first.bounding_box()
     assert box is not None
     page.mouse.move(box["x"] + 0.4 * box["width"], box["y"] + 0.5 * box["height"])
     page.mouse.down()
