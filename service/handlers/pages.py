@@ -83,7 +83,12 @@ def _page(
     told["address_here"] = f"{request.url.path}{span.with_more(**kept)}"
     shown = {key: Figure(chart, span.with_more(**kept, csv=key)) for key, chart in drawn.items()}
     body = render_page(name, here=here, leave=word, span=span, q=span.query, figures=shown, **told, **content)
-    return answer(request, body, media_type=HTML, cache=f"private, {REVALIDATE}" if word else REVALIDATE)
+    return answer(
+        request,
+        body,
+        media_type=HTML,
+        cache=f"private, {REVALIDATE}" if word and use.settings.open_reads else REVALIDATE,
+    )
 
 
 @assets.get("/static/{digest}/{name}")
