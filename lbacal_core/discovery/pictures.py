@@ -21,6 +21,7 @@ from lbacal_core.discovery.refit import power_ratio, with_noise
 from lbacal_core.discovery.residual_structure import ResidualStructure
 from lbacal_core.discovery.search import StationReport
 from lbacal_core.grids import Floats
+from lbacal_core.linear import solve_symmetric
 
 BINS = 24
 MAP_BINS, MAP_CHANNELS = 16, 3
@@ -99,7 +100,7 @@ def _picture_structure(report: StationReport, structure: ResidualStructure) -> P
     label, values = _values_on(report, structure.axis) or ("", np.zeros(len(left)))
     phase = (values - values.min()) / max(float(np.ptp(values)), 1e-9)
     shapes = np.cos(np.pi * np.outer(phase, np.arange(SHAPES + 1)))
-    smooth = shapes[:, 1:] @ np.linalg.lstsq(shapes, left, rcond=None)[0][1:]
+    smooth = shapes[:, 1:] @ solve_symmetric(shapes.T @ shapes, shapes.T @ left)[1:]
     of_channel = np.linalg.svd(smooth, full_matrices=False)[2][0]
     along = of_channel / np.sqrt(of_channel.size) * (1.0 if of_channel[0] >= 0 else -1.0)
     amounts = structure.amounts or {}  # a path that died early is compared with the others and has none
