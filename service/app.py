@@ -12,6 +12,7 @@ from starlette.middleware.gzip import GZipMiddleware
 
 from service.factory import Factory
 from service.handlers import (
+    acts,
     calibrations,
     drift,
     health,
@@ -63,7 +64,7 @@ def make_app(factory: Factory) -> FastAPI:
         pages.router,
         pages.assets,
         session.router,
-        session.forms,
+        acts.router,
     ):
         app.include_router(router)
     problems.install(app)

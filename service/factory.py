@@ -108,7 +108,7 @@ class Factory:
         """What paths should see."""
         from service.usecases.predictions import Predictions
 
-        return Predictions(self.calibrations, self.simulation)
+        return Predictions(self.calibrations, self.simulation, self.fits)
 
     @cached_property
     def refits(self) -> Refits:
@@ -151,7 +151,7 @@ class Factory:
     @cached_property
     def drift(self) -> Drift:
         """C over time."""
-        return Drift(self.database, self.instrument, Remembered(1))
+        return Drift(self.database, self.instrument, Remembered(8))
 
     @cached_property
     def drift_measurement(self) -> DriftMeasurement:

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from lbacal.analysis.data import spectra_of
 from lbacal.analysis.instrument import Described, simulation_of
@@ -17,7 +16,8 @@ from lbacal.analysis.result import Result
 from lbacal.calibration_files import FORMATS, complete_curves, write_calibrations
 from lbacal.client import make_table
 from lbacal.curve_table import CurveTable
-from lbacal.pages.fit import average_residuals, draw_c, draw_fit, draw_page
+from lbacal.pages.chart import Chart
+from lbacal.pages.fit import average_residuals, draw_c, draw_fit, draw_page, plot_fit
 from lbacal.pages.fit_summary import describe_error, explain_chi2, tabulate_curves
 from lbacal.with_model import Extended, read_model, read_open_terms
 from lbacal_core.audit.audit import audit_quickly
@@ -151,15 +151,15 @@ def fit(
     counted = sum(curve.status == CONVERGED for curve in report.curves)
     content = partial(_content_of, report, simulation)
 
-    def draw() -> Figure:
+    def draw() -> dict[str, list[Chart]]:
         return draw_fit(report, average_residuals(measured, report.curves, seen), seen)
 
     return Calibration(
         title=f"{simulation.instrument.name}: {counted} of {len(report.curves)} curves converged",
         rows=tabulate_curves(report.curves),
         notes=[*sentences, *explained, *_describe_rest(report, simulation, len(measured))],
-        draw=draw,
-        draw_on=partial(draw_c, curves=report.curves),
+        draw=lambda: plot_fit(draw()),
+        draw_on=draw_c(report.curves).draw,
         as_dict=content,
         as_table=lambda: make_table(dict(content())),
         page=lambda: draw_page(report, draw(), measured.origin, sentences),

@@ -17,12 +17,12 @@ from lbacal.analysis.instrument import Described, simulation_of
 from lbacal.analysis.result import Result
 from lbacal.chain import convert_number
 from lbacal.pages.curve import draw_change, draw_curve, draw_curve_page, draw_ranking
-from lbacal.pages.investigation import draw_page, draw_scores, draw_value
+from lbacal.pages.investigation import draw_page, plot_finding, plot_scores
 from lbacal.with_model import Extended, read_model
 from lbacal_core.audit.audit import audit_quickly
 from lbacal_core.data.lofar import SUPERTERP
 from lbacal_core.discovery.curve_search import describe_curve, investigate_curve
-from lbacal_core.discovery.left_open import add_left_open, find_value
+from lbacal_core.discovery.left_open import add_left_open
 from lbacal_core.discovery.report import investigate as investigate_spectra
 from lbacal_core.errors import BadInputError, write_chance
 from lbacal_core.lstcurve.curve import BAND_MHZ, LstCurve, read_lst_curve
@@ -140,12 +140,8 @@ def investigate(
     content["provenance"]["notes"]["audit"] = audited.sentence
     content = add_left_open(content, stations)
 
-    def draw_finding(finding: Mapping[str, Any], axes: Any = None) -> Figure:
-        report = next(one for one in stations if one.station.name == finding["where"]["station"])
-        return draw_value(report, find_value(report, finding), axes)
-
-    draw, page = partial(draw_scores, stations[0]), partial(draw_page, content, stations)
-    return _make(measured.origin, content, simulation, Figures(draw, draw, page, draw_finding))
+    draw, page = partial(plot_scores, content), partial(draw_page, content, measured.origin, simulation.instrument.name)
+    return _make(measured.origin, content, simulation, Figures(draw, draw, page, plot_finding))
 
 
 def _investigate_curve(curve: LstCurve, simulation: Simulation, band_mhz: tuple[float, float]) -> Investigation:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import cycle
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from lbacal.pages.chart import BAND, BLUE, IMAGE, INK, LINE, MARK, OF_DIPOLE, POINTS, RED, SKY, Chart, Series
+from lbacal.pages.curves import C_LABEL, FREQUENCY, MICRO, PERCENT, above_zero, draw_curves, draw_noise, draw_terms
 from lbacal.pages.fit_summary import MOST_ROWS, explain_chi2, tabulate_curves
-from lbacal.pages.report import COLOURS, DIPOLE_COLOURS, GREY, embed, fill_report
+from lbacal.pages.report import fill_report
 from lbacal_core.calibration.budget import largest_chi2_per_dof
 from lbacal_core.calibration.one_event import map_departures
 from lbacal_core.curves.covariance import Budget
@@ -22,11 +23,13 @@ from lbacal_core.spectra.blocks import iterate_blocks
 from lbacal_core.spectra.spectra import Spectra
 
 
-def draw_page(report: FitReport, figure: Figure, source: str, sentences: Sequence[str]) -> str:
+def draw_page(report: FitReport, charts: Mapping[str, Sequence[Chart]], source: str, sentences: Sequence[str]) -> str:
     """The report as one HTML file.
 
     Parameters
     ----------
+    charts
+        From `draw_fit`.
     sentences
         What the command printed beside its table; the first is the error of C.
     """
@@ -42,7 +45,8 @@ def draw_page(report: FitReport, figure: Figure, source: str, sentences: Sequenc
         rows=rows[1:],
         every=every,
         chi2=explain_chi2(report.curves),
-        figure=embed(figure),
+        charts=[chart for column in charts.values() for chart in column],
+        budgets=[draw_terms(budget) for budget in report.budgets.values()],
         terms=[_describe_terms(budget) for budget in report.budgets.values()],
         notes=report.provenance.notes,
         inputs=report.provenance.inputs,
@@ -58,16 +62,13 @@ def _describe_terms(budget: Budget) -> dict[str, object]:
     return {"digest": budget.digest, "rows": rows, "polarisations": " / ".join(budget.terms[0].vectors)}
 
 
-# The figure of a fit: C with its bands, residual maps, noise terms and chi2, a column for each polarisation.
+# The figures of a fit, of each polarisation: C with its errors, residual map, noise terms and chi2.
 
 WITHIN_1_SIGMA = (15.87, 84.13)
 SMALLEST_LIMIT = 0.5
 """Per cent: the colours of a residual map go no further down, else noise alone would fill them."""
 LARGEST_LINEAR = 5.0
 """A chi2 per degree of freedom above which a linear axis would show the good curves as one line."""
-LEGEND_ROOM = 1.45
-STYLES = ("--", "-.", ":", (0, (5, 1)), (0, (1, 3)), (0, (3, 1, 1, 1)), (0, (7, 3)))
-"""Lines of the noise terms, in the order of the chain."""
 
 
 def average_residuals(
@@ -85,8 +86,8 @@ def average_residuals(
     return means
 
 
-def draw_fit(report: FitReport, maps: Mapping[str, Floats], simulation: Simulation) -> Figure:
-    """All of a fit on one page.
+def draw_fit(report: FitReport, maps: Mapping[str, Floats], simulation: Simulation) -> dict[str, list[Chart]]:
+    """The charts of a fit by polarisation.
 
     Parameters
     ----------
@@ -94,59 +95,55 @@ def draw_fit(report: FitReport, maps: Mapping[str, Floats], simulation: Simulati
         From `average_residuals`.
     """
     curves = [curve for curve in report.curves if curve.c is not None]
-    dipoles = sorted({str(curve.dipole) for curve in curves}) or list(maps)
-    figure = Figure(figsize=(4.9 * len(dipoles), 13.5), layout="constrained")
-    axes: Any = figure.subplots(4, len(dipoles), squeeze=False, sharey="row", height_ratios=[1.3, 1, 1, 0.8])
-    image = None
-    for column, dipole in zip(axes.T, dipoles, strict=True):
+    known = [np.abs(one[np.isfinite(one)]) for one in maps.values()]
+    joined = np.concatenate(known) if known else np.zeros(0)
+    limit = max(PERCENT * float(np.percentile(joined, 99)) if joined.size else 0.0, SMALLEST_LIMIT)
+    found = {}
+    for dipole in sorted({str(curve.dipole) for curve in curves}) or list(maps):
         own = [curve for curve in curves if curve.dipole == dipole]
-        _draw_c(column[0], own, dipole)
-        image = _draw_map(column[1], maps, dipole, simulation.instrument.frequency_mhz) or image
-        _draw_noise(column[2], own, simulation.instrument, simulation.sky_power.power[dipole].mean(axis=0))
-        _draw_chi2(column[3], own)
-    if image is not None:
-        figure.colorbar(image, ax=axes[1], label="measured / predicted - 1 (%)")
-    axes[0, 0].set_ylabel("C (V per ADC unit)")
-    axes[1, 0].set_ylabel("local sidereal time (h)")
-    axes[2, 0].set_ylabel("power at the start of the chain\n(unit of P_sky)")
-    axes[3, 0].set_ylabel("chi² per degree of freedom")
+        charts = [draw_c(own, f"C, polarisation {dipole}")]
+        if dipole in maps:
+            charts.append(_draw_map(maps[dipole], limit, dipole, simulation.instrument.frequency_mhz))
+        if own:
+            sky = simulation.sky_power.power[dipole].mean(axis=0)
+            charts += [_draw_noise(own, simulation.instrument, sky, dipole), _draw_chi2(own, dipole)]
+        found[dipole] = charts
+    return found
+
+
+def plot_fit(charts: Mapping[str, Sequence[Chart]]) -> Figure:
+    """All of a fit on one figure, a column a polarisation."""
+    rows = max(map(len, charts.values()), default=1)
+    figure = Figure(figsize=(4.9 * max(len(charts), 1), 3.4 * rows), layout="constrained")
+    panels: Any = figure.subplots(rows, max(len(charts), 1), squeeze=False)
+    for column, of_dipole in zip(panels.T, charts.values(), strict=False):
+        for axes, chart in zip(column, of_dipole, strict=False):
+            chart.draw(axes)
     return figure
 
 
-def draw_c(axes: Any, curves: Sequence[CalibrationCurve]) -> None:
-    """C of every dipole on one pair of axes."""
+def draw_c(curves: Sequence[CalibrationCurve], title: str = "C") -> Chart:
+    """C of a curve for each polarisation, or the median of several with the middle 68 %."""
     fitted = [curve for curve in curves if curve.c is not None]
-    for dipole in sorted({str(curve.dipole) for curve in fitted}):
-        _draw_c(axes, [curve for curve in fitted if str(curve.dipole) == dipole], dipole)
-    axes.set(title="", xlabel="frequency (MHz)", ylabel="C (V per ADC unit)")
-
-
-def _draw_c(axes: Any, curves: Sequence[CalibrationCurve], dipole: str) -> None:
-    """C of one curve, or the median of several, with the statistical and the total error."""
-    axes.set(title=f"polarisation {dipole}", xlabel="frequency (MHz)")
-    if not curves:
-        return
-    frequency, colour = curves[0].frequency_mhz, DIPOLE_COLOURS.get(dipole, COLOURS[0])
-    c = np.array([curve.c for curve in curves], dtype=float)
-    middle = np.nanmedian(c, axis=0)
-    stat, sys = (_median_error(curves, name) for name in ("c_sigma_stat", "c_sigma_sys"))
-    total = np.hypot(stat, np.nan_to_num(sys))
-    name = curves[0].name if len(curves) == 1 else f"median of {len(curves)} curves"
-    for error, alpha, label in ((total, 0.2, "total error"), (stat, 0.6, "statistical error")):
-        below, above = middle * (1 - error), middle * (1 + error)
-        axes.fill_between(frequency, below, above, color=colour, alpha=alpha, lw=0, label=label)
-    if len(curves) > 1:
-        low, high = np.nanpercentile(c, WITHIN_1_SIGMA, axis=0)
-        axes.plot(frequency, low, color=GREY, lw=0.9, ls="--", label="68 % of the curves")
-        axes.plot(frequency, high, color=GREY, lw=0.9, ls="--")
-    axes.plot(frequency, middle, color=colour, lw=1.4, label=name)
-    flagged = np.mean([curve.flags != OK for curve in curves], axis=0) > 0.5
-    if np.any(flagged):
-        axes.plot(
-            frequency[flagged], np.zeros(flagged.sum()), "x", color="black", ms=4, clip_on=False,
-            transform=axes.get_xaxis_transform(), label="flagged",
-        )  # fmt: skip
-    axes.legend(fontsize=8, frameon=False)
+    of_dipole = {
+        name: [one for one in fitted if one.dipole == name] for name in sorted({str(c.dipole) for c in fitted})
+    }
+    if all(len(own) == 1 for own in of_dipole.values()):
+        return draw_curves(title, fitted)
+    series: list[Series] = []
+    for dipole, own in of_dipole.items():
+        mhz, colour, c = own[0].frequency_mhz, OF_DIPOLE.get(dipole, INK), np.array([one.c for one in own], dtype=float)
+        middle = np.nanmedian(c, axis=0)
+        stat, sys = (_median_error(own, name) for name in ("c_sigma_stat", "c_sigma_sys"))
+        for error, label in ((np.hypot(stat, np.nan_to_num(sys)), "total error"), (stat, "statistical error")):
+            low, high = (MICRO * middle * (1.0 + sign * error) for sign in (-1, 1))
+            series.append(Series(BAND, mhz, low=low, high=high, name=f"{dipole}: {label}", colour=colour))
+        ends = MICRO * np.nanpercentile(c, WITHIN_1_SIGMA, axis=0)
+        series += [Series(LINE, mhz, end, name="68 % of the curves", style=1) for end in ends]
+        series.append(Series(LINE, mhz, MICRO * middle, name=f"{dipole}: median of {len(own)} curves", colour=colour))
+        flagged = mhz[np.mean([curve.flags != OK for curve in own], axis=0) > 0.5]
+        series.append(Series(POINTS, flagged, np.zeros(flagged.size), name="flagged" if flagged.size else ""))
+    return Chart(title, FREQUENCY, C_LABEL, series, y_limits=above_zero(series))
 
 
 def _median_error(curves: Sequence[CalibrationCurve], name: str) -> Floats:
@@ -154,62 +151,42 @@ def _median_error(curves: Sequence[CalibrationCurve], name: str) -> Floats:
     return np.asarray(np.nanmedian(found, axis=0)) if found else np.full(curves[0].frequency_mhz.shape, np.nan)
 
 
-def _draw_map(axes: Any, maps: Mapping[str, Floats], dipole: str, frequency_mhz: Floats) -> Any:
+def _draw_map(values: Floats, limit: float, dipole: str, frequency_mhz: Floats) -> Chart:
     """Measured over predicted power against LST and frequency."""
-    axes.set(xlabel="frequency (MHz)", ylim=(0, 24), yticks=range(0, 25, 6))
-    if dipole not in maps or not np.any(np.isfinite(list(maps.values()))):
-        return None
-    limit = max(100 * float(np.nanpercentile(np.abs(np.stack(list(maps.values()))), 99)), SMALLEST_LIMIT)
-    extent = (frequency_mhz[0] - 0.5, frequency_mhz[-1] + 0.5, 0.0, 24.0)
-    axes.set_facecolor("0.85")
-    return axes.imshow(
-        100 * maps[dipole], origin="lower", aspect="auto", extent=extent, cmap="RdBu_r", vmin=-limit, vmax=limit,
-        interpolation="nearest",
-    )  # fmt: skip
+    extent = float(frequency_mhz[0]) - 0.5, float(frequency_mhz[-1]) + 0.5
+    image = Series(IMAGE, extent, (0.0, 24.0), name="%", image=PERCENT * values, limit=limit)
+    title = f"measured / predicted power - 1, polarisation {dipole}"
+    return Chart(title, FREQUENCY, "local sidereal time (h)", [image], y_limits=(0.0, 24.0))
 
 
-def _draw_noise(axes: Any, curves: Sequence[CalibrationCurve], instrument: Instrument, sky: Floats) -> None:
+def _draw_noise(curves: Sequence[CalibrationCurve], instrument: Instrument, sky: Floats, dipole: str) -> Chart:
     """Sky and noise terms at the start of the chain, medians of the curves."""
-    axes.set(xlabel="frequency (MHz)", yscale="log")
-    if not curves:
-        return
     found = [noise_at_input(curve, instrument) for curve in curves]
-    lines: list[tuple[str, Floats, Any]] = [("sky, mean over LST", sky, "-")]
-    for name, style in zip(found[0], cycle(STYLES), strict=False):
-        lines.append((f"N_{name.upper()}", np.nanmedian([one[name] for one in found], axis=0), style))
-    for (label, values, style), colour in zip(lines, cycle(COLOURS), strict=False):
-        axes.plot(
-            instrument.frequency_mhz, np.where(values > 0, values, np.nan), linestyle=style, color=colour, label=label
-        )
-    axes.legend(fontsize=8, frameon=False, ncols=2)
+    terms = {"sky, mean over LST": sky}
+    terms |= {f"N_{name.upper()}": np.nanmedian([one[name] for one in found], axis=0) for name in found[0]}
+    title = f"power at the start of the chain, polarisation {dipole}"
+    return draw_noise(instrument.frequency_mhz, terms, title, "unit of P_sky")
 
 
-def _draw_chi2(axes: Any, curves: Sequence[CalibrationCurve]) -> None:
+def _draw_chi2(curves: Sequence[CalibrationCurve], dipole: str) -> Chart:
     """Both numbers of the chain test for every curve, and what noise alone makes of the first."""
-    axes.set(xlabel="curve, in the order of the table")
-    axes.xaxis.get_major_locator().set_params(integer=True)
-    if not curves:
-        return
-    channels = curves[0].frequency_mhz.size
-    at = np.arange(1, len(curves) + 1)
-    sigma = float(np.sqrt(2.0 / (channels - 3)))
-    axes.axhspan(1 - 2 * sigma, 1 + 2 * sigma, color=GREY, alpha=0.2, lw=0, label="expected of noise, 95 %")
-    largest = largest_chi2_per_dof(channels)
-    axes.axhline(largest, color=GREY, lw=0.9, ls="--", label="errors are widened above")
-    for name, label, style in (
-        ("chi2_per_dof", "noise alone", {"marker": "o", "color": COLOURS[2]}),
-        ("chi2_per_dof_profiled", "sky and pattern free", {"marker": "^", "mfc": "white", "color": COLOURS[1]}),
+    channels, at = curves[0].frequency_mhz.size, np.arange(1, len(curves) + 1)
+    sigma, widened = 2.0 * float(np.sqrt(2.0 / (channels - 3))), largest_chi2_per_dof(channels)
+    ends = [0.5, len(curves) + 0.5]
+    series = [Series(BAND, ends, low=[1 - sigma] * 2, high=[1 + sigma] * 2, name="expected of noise, 95 %")]
+    series.append(Series(LINE, ends, [widened] * 2, name="errors are widened above", style=1))
+    largest = widened
+    for name, label, colour in (
+        ("chi2_per_dof", "noise alone", BLUE),
+        ("chi2_per_dof_profiled", "sky and pattern free", RED),
     ):
         values = np.array([getattr(curve, name) or np.nan for curve in curves], dtype=float)
-        axes.plot(at, values, ls="none", ms=3.5, label=label, **style)
-        largest = max(largest, float(np.nanmax(np.append(values, 0.0))), axes.get_ylim()[1] / LEGEND_ROOM)
-    wrong = np.array([curve.status == MISFIT for curve in curves])
-    if np.any(wrong):
-        axes.plot(at[wrong], np.zeros(wrong.sum()), "x", color="black", clip_on=False, label="misfit",
-                  transform=axes.get_xaxis_transform())  # fmt: skip
-    if largest > LARGEST_LINEAR:
-        axes.set_yscale("log")
-        axes.yaxis.set_major_formatter("{x:g}")
-    axes.set(xlim=(0.5, len(curves) + 0.5), ylim=(None if largest > LARGEST_LINEAR else 0.0, LEGEND_ROOM * largest))
-    axes.xaxis.get_major_locator().set_params(integer=True)
-    axes.legend(fontsize=7.5, frameon=False, ncols=2)
+        titles = [f"{curve.name}, {label}: {value:.2f}" for curve, value in zip(curves, values, strict=True)]
+        series.append(Series(POINTS, at, values, name=label, colour=colour, titles=titles))
+        largest = max(largest, float(np.nanmax(np.append(values, 0.0))))
+    wrong = [k for k, curve in zip(at, curves, strict=True) if curve.status == MISFIT]
+    series.append(Series(MARK, wrong, name="misfit" if wrong else "", colour=SKY, style=2))
+    scales = ("linear", "log" if largest > LARGEST_LINEAR else "linear")
+    label, title = "chi² per degree of freedom", f"chain test, polarisation {dipole}"
+    limits = None if largest > LARGEST_LINEAR else (0.0, 1.1 * max(largest, 1 + sigma))
+    return Chart(title, "curve, in the order of the table", label, series, scales, (0.5, len(curves) + 0.5), limits)

@@ -10,6 +10,7 @@ import numpy as np
 from jinja2 import ChoiceLoader, Environment, PackageLoader
 from matplotlib.figure import Figure
 
+from lbacal.pages.finding import FILTERS
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.errors import write_chance
 from lbacal_core.lstcurve.curve import AS_RECORDED, Comparison, band_weights, in_db, simulate_band_power
@@ -20,7 +21,7 @@ def fill_report(template: str, package: str = "lbacal.pages", **content: Any) ->
     """A report as HTML; every template, of `package` or of this one, fills the blocks of `base.html`."""
     loader = ChoiceLoader([PackageLoader(name) for name in dict.fromkeys((package, "lbacal.pages"))])
     environment = Environment(loader=loader, autoescape=True)
-    environment.filters["chance"] = write_chance
+    environment.filters |= {"chance": write_chance, **FILTERS}
     return environment.get_template(template).render(**content)
 
 

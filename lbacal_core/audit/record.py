@@ -27,8 +27,9 @@ SITE = Description(
     "compare the coordinates on record with a map; the transit of the Sun or of a pulsar tells the longitude by itself",
 )
 """It has no size, and is no cause that a model could adopt."""
+EXCHANGE = "exchange"
 _OF_KIND = {
-    "exchange": "dipole_swap",
+    EXCHANGE: "dipole_swap",
     "arms": "dipole_azimuth",
     "clock": "lst_offset",
     "longitude sign": "lst_offset",
@@ -136,7 +137,7 @@ def name_mistake(spectra: Spectra, simulation: Simulation) -> str:
 
 def _correct(spectra: Spectra, instrument: Instrument, line: Line) -> tuple[Spectra, Instrument]:
     """Spectra and instrument without one error of the record."""
-    if line.kind == "exchange":
+    if line.kind == EXCHANGE:
         one, other = instrument.dipoles
         is_wrong = np.isin(spectra.antenna, line.antennas) if line.antennas else np.ones(len(spectra), dtype=bool)
         exchanged = np.where(spectra.dipole == one, other, one)

@@ -63,6 +63,42 @@ def map_departures(block: SpectraBlock, curves: Iterable[CalibrationCurve], simu
         return np.asarray(total / count)
 
 
+@dataclass(frozen=True)
+class OverLst:
+    """Band power of a path against sidereal time, relative to its predicted mean over the day.
+
+    Attributes
+    ----------
+    lst_hours
+        Middles of the bins that have events, shape (bin,).
+    measured, error
+        Mean of the events of a bin and its standard error, shape (bin,); NaN for the error of a single event.
+    expected
+        What the fitted curve predicts at those sidereal times, shape (bin,).
+    """
+
+    lst_hours: Floats
+    measured: Floats
+    error: Floats
+    expected: Floats
+
+
+def compare_over_lst(spectra: Spectra, curve: CalibrationCurve, simulation: Simulation) -> OverLst:
+    """Mean power over the good channels of one path against sidereal time, measured and as its curve predicts it."""
+    good = curve.has_value & (curve.flags == OK)
+    lst_hours = simulation.sidereal_time(curve.station, spectra.time_unix)
+    day = simulation.background(curve, np.arange(LST_BINS) * 24.0 / LST_BINS)[:, good].mean(axis=1)
+    place = np.minimum((lst_hours / 24.0 * LST_BINS).astype(int), LST_BINS - 1)
+    power = spectra.power[:, good].mean(axis=1) / day.mean()
+    count = np.bincount(place, minlength=LST_BINS)
+    known = np.flatnonzero(count)
+    mean, square = (np.bincount(place, values, LST_BINS)[known] / count[known] for values in (power, power**2))
+    scatter = np.sqrt(np.maximum(square - mean**2, 0.0) / np.maximum(count[known] - 1, 1))
+    middle = (known + 0.5) * 24.0 / LST_BINS
+    expected = simulation.background(curve, middle)[:, good].mean(axis=1) / day.mean()
+    return OverLst(middle, mean, np.where(count[known] > 1, scatter, np.nan), expected)
+
+
 FEWEST_EVENTS = 20
 WITHIN_1_SIGMA = (15.87, 84.13)
 

@@ -19,6 +19,7 @@ from lbacal_core.discovery.adopted import describe_size, fit_adopted
 from lbacal_core.discovery.antennas import AntennaScore
 from lbacal_core.discovery.findings import Finding, change_of_c
 from lbacal_core.discovery.hypothesis import Target, sigma_of
+from lbacal_core.discovery.pictures import picture_antenna, picture_finding, picture_record, picture_station
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.residual_structure import ResidualStructure
 from lbacal_core.discovery.scan import Score
@@ -55,6 +56,10 @@ def describe(reports: Sequence[StationReport], provenance: Provenance) -> dict[s
             "unexplained": None if report.structure is None else _unexplained(report.structure, report),
             "unidentifiable": [{"cause": cause, "why": why} for cause, why in sorted(report.unidentifiable.items())],
             "deaf": report.deaf,
+            "paths": len(report.station.antenna),
+            "events": len(report.station.event_id),
+            "dates": [_date(float(pick(report.station.conditions.time_unix))) for pick in (np.min, np.max)],
+            "picture": picture_station(report),
         }
         for report in reports
     ]
@@ -147,6 +152,7 @@ def _finding(finding: Finding, report: StationReport) -> dict[str, Any]:
             "correlations": dict(finding.indistinguishable),
             "note": BY_RATIO if cause.acts_by_ratio else "",
             **_of_noise(finding),
+            "picture": picture_finding(report, finding),
         },
     )
 
@@ -176,6 +182,7 @@ def _antenna_finding(score: AntennaScore, report: StationReport) -> dict[str, An
             "target": score.target.label,
             "correlations": dict(score.similar),
             "note": score.cause.note(score.parameters, score.size),
+            "picture": picture_antenna(report, score),
         },
     )
 
@@ -205,6 +212,7 @@ def _record_finding(error: RecordError, report: StationReport) -> dict[str, Any]
             "correlations": {},
             "note": PUT_RIGHT,
             "of_record": True,
+            "picture": picture_record(report, error),
         },
     )
 
@@ -429,7 +437,7 @@ def investigate(
             "sky_power": simulation.sky_power.digest(),
         },
         settings={"policy": policy.as_dict(), "seed": seed, "own_sky": simulation.is_own_sky},
-        notes={FORM_OF_CHAIN: str(form)},
+        notes={FORM_OF_CHAIN: str(form), "sky_power": simulation.sky_power.note_for(simulation.instrument)},
     )
     if model.is_plain:
         return describe(reports, provenance), reports

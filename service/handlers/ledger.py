@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from functools import partial
 from operator import attrgetter
@@ -25,7 +26,8 @@ PROMOTE = "calibrations:promote"
 Promoter = Annotated[Caller, caller_with(PROMOTE)]
 Reasoned = Annotated[Order[ReasonBody], ordered(ReasonBody, PROMOTE)]
 Describe = Callable[[Plan, Sequence[Promotion], Sequence[Change]], dict[str, Any]]
-TagName = Annotated[str, Path(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,79}$")]
+TAG_NAME = re.compile(r"^[A-Za-z0-9][A-Za-z0-9._-]{0,79}$")
+TagName = Annotated[str, Path(pattern=TAG_NAME.pattern)]
 
 
 @reads(router, "/v1/tags", TagsAnswer)

@@ -1,53 +1,94 @@
-"""The page, for humans: the same use cases as the API, filled into templates."""
+"""The page, for humans: the same use cases as the API, filled into templates. Every page obeys `?since=&until=`."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import groupby
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-from fastapi import APIRouter, Depends, Request, Response, status
+from fastapi import APIRouter, Depends, Query, Request, Response, status
 from fastapi.responses import HTMLResponse, RedirectResponse
 
 from lbacal.instants import format_instant, parse_instant
+from lbacal.pages.chart import Chart
+from lbacal.pages.curves import draw_curves, draw_difference, draw_noise, draw_terms, published_curve, values_of
 from lbacal_core.causes.model import follows_date
-from lbacal_core.curves.curves import list_numbers
-from lbacal_core.curves.validity import Scope
+from lbacal_core.curves.covariance import parse_budget
+from lbacal_core.curves.curves import CalibrationCurve
+from lbacal_core.curves.validity import Instant, Scope
+from lbacal_core.data.lofar import SUPERTERP
+from lbacal_core.errors import BadInputError, name_path
+from service.errors import NotInEffectError
+from service.factory import Factory
 from service.handlers.request import (
     FORM_COOKIE,
     IMMUTABLE,
-    KEY_COOKIE,
+    REVALIDATE,
+    SESSION_COOKIE,
     TAKES_TURN,
+    AntennaQuery,
     InPath,
     UseCases,
     answer,
     require_read,
 )
-from service.page.render import find_asset, format_day, name_scope, render_page, render_part
+from service.page import charts
+from service.page.render import Figure, find_asset, format_day, name_scope, render_page, render_part
+from service.page.span import Span
 from service.storage.alarms import ACKNOWLEDGED, ENDED, OPEN, AlarmsAsked
+from service.storage.changes import PROPOSED, KeptChange
+from service.storage.models import Investigation
 from service.storage.versions import MeanC, Version
-from service.usecases.calibrations import select_paths
+from service.usecases.calibrations import CurveInEffect, select_paths
 from service.usecases.drift import DriftSeries, Story
 from service.usecases.models import list_stopped
-from service.usecases.status import look_over
+from service.usecases.status import State, look_over, tell_problems
 from service.wire.answers import FORMATS
 
 router = APIRouter(
     include_in_schema=False, dependencies=[Depends(require_read), TAKES_TURN], default_response_class=HTMLResponse
 )
 assets = APIRouter(include_in_schema=False, default_response_class=Response)
-HTML = "text/html; charset=utf-8"
-STEPS_SHOWN = 25
+HTML, CSV = "text/html; charset=utf-8", "text/csv; charset=utf-8"
+STEPS_SHOWN, CHANGES_SHOWN, CURVES_SHOWN = 25, 8, 6
 ALARMS_SHOWN, ENDED_SHOWN = 500, 50
 
 
-def _page(request: Request, use: UseCases, name: str, here: str, **content: Any) -> Response:
-    word = request.cookies.get(FORM_COOKIE) if KEY_COOKIE in request.cookies else None
-    told = {"instrument": use.instrument.name, "frequency_mhz": use.instrument.frequency_mhz}
-    body = render_page(name, here=here, leave=word, **told, **content)
-    return answer(request, body, media_type=HTML)
+def read_span(since: str = "", until: str = "") -> Span:
+    """The time range of an address; an end that is absent or empty is open."""
+    ends = [parse_instant(name, text) if text else None for name, text in (("since", since), ("until", until))]
+    if None not in ends and ends[0] >= ends[1]:  # type: ignore[operator] # neither is None
+        raise BadInputError("until", "a date after since", until)
+    return Span(*ends)
+
+
+InSpan = Annotated[Span, Depends(read_span)]
+CsvQuery = Annotated[str, Query(max_length=60, description="name of a figure, whose numbers are answered as CSV")]
+
+
+def _page(
+    request: Request, use: Factory, span: Span, name: str, here: str, figures: Mapping[str, Chart | None] | None = None,
+    csv: str = "", **content: Any,
+) -> Response:  # fmt: skip
+    drawn = {key: chart for key, chart in (figures or {}).items() if chart is not None}
+    if csv:
+        if csv not in drawn:
+            raise BadInputError("csv", f"one of {', '.join(drawn) or 'no figures'}", csv)
+        return answer(request, drawn[csv].csv().encode(), media_type=CSV)
+    word = request.cookies.get(FORM_COOKIE) if SESSION_COOKIE in request.cookies else None
+    kept = {name: value for name, value in request.query_params.items() if name not in ("since", "until", "csv")}
+    told = {"instrument": use.instrument.name, "frequency_mhz": use.instrument.frequency_mhz, "kept": kept}
+    told["address_here"] = f"{request.url.path}{span.with_more(**kept)}"
+    shown = {key: Figure(chart, span.with_more(**kept, csv=key)) for key, chart in drawn.items()}
+    body = render_page(name, here=here, leave=word, span=span, q=span.query, figures=shown, **told, **content)
+    return answer(
+        request,
+        body,
+        media_type=HTML,
+        cache=f"private, {REVALIDATE}" if word and use.settings.open_reads else REVALIDATE,
+    )
 
 
 @assets.get("/static/{digest}/{name}")
@@ -56,98 +97,277 @@ def get_asset(request: Request, digest: str, name: str) -> Response:
     return answer(request, asset.content, media_type=asset.media_type, cache=IMMUTABLE)
 
 
+# The first screen: five questions.
+
+
 @router.get("/")
-def show_overview(request: Request, use: UseCases) -> Response:
-    overview = look_over(use.database, use.instrument, use.clock)
-    steps = use.drift.steps(5)
-    news, state = use.investigations.news(), use.status.look()
-    told = {"news": news, "stopped": list_stopped(use.models.history()), "alarms": state.alarms}
-    return _page(request, use, "overview.html", "/", overview=overview, steps=steps, **told)
+def show_overview(request: Request, use: UseCases, span: InSpan, csv: CsvQuery = "") -> Response:
+    overview, state = look_over(use.database, use.instrument, use.clock), use.status.look()
+    news, stopped = use.investigations.news(), list_stopped(use.models.history())
+    lasting = [one for one in use.changes.list_all() if one.ended is None]
+    changes = sorted((one for one in lasting if span.has(one.change.date)), key=_significance, reverse=True)
+    at = span.until - 1 if span.until is not None else overview.last
+    in_effect = [] if at is None else _find_stations(use, at)
+    figures = {
+        "coverage": charts.draw_coverage(overview.stations, span),
+        "changes": charts.draw_changes(changes, span, (overview.first, overview.last)) if changes else None,
+        **{f"c-{name}": draw_curves(f"C of {name}", curves) for name, curves in list(in_effect)[:CURVES_SHOWN]},
+        "terms": _draw_terms(use, [curve for _, curves in in_effect for curve in curves]),
+        "waiting": charts.draw_counts(_count_waiting(state, lasting, [one.newest for one in news], span)),
+    }
+    return _page(
+        request, use, span, "overview.html", "/", figures, csv, overview=overview, state=state, news=news, at=at,
+        problems=tell_problems(state, overview, stopped), changes=changes[:CHANGES_SHOWN], more=len(changes),
+        in_effect=[name for name, _ in in_effect], dipoles=use.instrument.dipoles,
+        proposed=[one for one in lasting if one.decision == PROPOSED],
+    )  # fmt: skip
+
+
+def _significance(one: KeptChange) -> float:
+    """Size over error; of a change without a size, how significant its sources found it."""
+    size, sigma = one.change.size, one.change.size_sigma
+    if size is not None and sigma:
+        return abs(size) / sigma
+    return max((by.significance or 0.0 for by in one.evidence), default=0.0)
+
+
+def _find_stations(use: Factory, at: Instant) -> list[tuple[str, list[CalibrationCurve]]]:
+    """The curves of every station of which a version of its own is in effect."""
+    stations = sorted({record.station for record in use.instrument.antennas})
+    try:
+        found = use.calibrations.in_effect(at, [Scope(station) for station in stations])
+    except NotInEffectError:
+        return []
+    own = (curve for curve in found.curves if curve.promotion.scope.station is not None)
+    curves = [(curve.path.station or "", curve.told.curve) for curve in own]
+    return [(name, [curve for _, curve in of]) for name, of in groupby(curves, key=lambda pair: pair[0])]
+
+
+def _draw_terms(use: Factory, curves: Sequence[CalibrationCurve]) -> Chart | None:
+    """The terms of the error of the first curve that has a budget."""
+    for curve in curves:
+        digest = None if curve.covariance is None else curve.covariance.budget
+        if digest is not None and curve.c is not None:
+            c, stat, _ = values_of(curve)
+            return draw_terms(parse_budget(use.calibrations.budget(digest)), stat / c)
+    return None
+
+
+def _count_waiting(
+    state: State, changes: Sequence[KeptChange], newest: Sequence[Investigation], span: Span
+) -> dict[str, tuple[int, str]]:
+    findings = [finding for one in newest for finding in one.report["findings"]]
+    causes = [one for one in findings if not follows_date(one["cause"], one["parameters"])]
+    found = next((one.id for one in newest if one.report["findings"]), None)
+    return {
+        "proposed changes": (sum(one.decision == PROPOSED for one in changes), f"/drift{span.query}#changes"),
+        "changes not yet refitted": (sum(not one.is_refitted for one in changes), f"/drift{span.query}#changes"),
+        "causes found": (len(causes), f"/investigations/{found}{span.query}" if found else f"/models{span.query}"),
+        "held versions": (state.gated, f"/jobs{span.query}"),
+        "failed jobs": (len(state.failures), f"/jobs{span.query}"),
+        "open alarms": (sum(state.alarms.open.values()), f"/alarms{span.query}"),
+    }
 
 
 @router.get("/jobs")
-def show_jobs(request: Request, use: UseCases) -> Response:
-    jobs = use.jobs.newest(limit=200)
+def show_jobs(request: Request, use: UseCases, span: InSpan) -> Response:
+    jobs = [job for job in use.jobs.newest(limit=200) if span.has(job.created)]
     is_open = any(job.state in ("queued", "running") for job in jobs)
     state, nightly = use.status.look(), use.settings.nightly_utc
-    return _page(request, use, "jobs.html", "/jobs", jobs=jobs, is_open=is_open, nightly=nightly, state=state)
+    return _page(
+        request, use, span, "jobs.html", "/jobs", jobs=jobs, is_open=is_open, nightly=nightly, state=state,
+        now=use.clock(), stations=sorted({one.station for one in use.instrument.antennas}),
+        dipoles=use.instrument.dipoles,
+    )  # fmt: skip
 
 
 @router.get("/drift")
-def show_drift(request: Request, use: UseCases) -> Response:
-    main = use.drift.shown.get(use.drift.state(), lambda: _tell_drift(use))
-    changes = [one for one in use.changes.list_all() if one.ended is None]
-    return _page(request, use, "drift.html", "/drift", main=main, changes=changes)
+def show_drift(request: Request, use: UseCases, span: InSpan, csv: CsvQuery = "") -> Response:
+    chart, main = use.drift.shown.get(f"{use.drift.state()} {span.query}", lambda: _tell_drift(use, span))
+    changes = [one for one in use.changes.list_all() if one.ended is None and span.has(one.change.date)]
+    array, life = use.drift.series(Scope()), use.lives.of(None)
+    figures = {"drift": chart, "life": charts.draw_life(life, array, span, use.clock())}
+    return _page(request, use, span, "drift.html", "/drift", figures, csv, main=main, changes=changes, life=life)
 
 
-def _tell_drift(use: UseCases) -> str:
+def _tell_drift(use: Factory, span: Span) -> tuple[Chart, str]:
     """The part of the page that is the same for everybody until the next night."""
     whole, stations = use.drift.overall()
     series = [*stations, *([whole] if len(stations) > 1 else [])]
     stories = use.drift.stories(series)
     rows = [_version_rows(one, stories) for one in series]
-    plot = {"series": [_plot_of_series(one, of_one) for one, of_one in zip(series, rows, strict=True)]}
-    return render_part(
-        "drift_main.html", plot=plot, steps=whole.steps[:STEPS_SHOWN], rows=[row for of_one in rows for row in of_one],
+    points = [[row["point"] for row in of_one] for of_one in rows]
+    chart = charts.draw_drift(series, points, span)
+    return chart, render_part(
+        "drift_main.html", steps=[one for one in whole.steps if span.has(one.date)][:STEPS_SHOWN], q=span.query,
+        figure=Figure(chart, span.with_more(csv="drift")),
+        rows=[row for of_one in rows for row in of_one if span.has(row["since"])],
         trends=[(name_scope(one.scope), one.slope) for one in series if one.slope is not None],
         threshold=whole.threshold_sigma, frequency_mhz=use.instrument.frequency_mhz,
     )  # fmt: skip
 
 
 @router.get("/alarms")
-def show_alarms(request: Request, use: UseCases) -> Response:
+def show_alarms(request: Request, use: UseCases, span: InSpan) -> Response:
     lasting = use.alarms.newest(AlarmsAsked((OPEN, ACKNOWLEDGED), ALARMS_SHOWN))
-    ended = use.alarms.newest(AlarmsAsked((ENDED,), ENDED_SHOWN))
-    content = {"lasting": lasting, "ended": ended, "now": use.clock(), "counts": use.status.look().alarms}
-    return _page(request, use, "alarms.html", "/alarms", **content)
-
-
-@router.get("/stations/{station}")
-def show_station(request: Request, use: UseCases, station: InPath) -> Response:
-    select_paths(use.instrument, station, None, None)
-    series = use.drift.series(Scope(station))
-    told = {"means": use.drift.means_of_paths(station), "slopes": use.drift.slopes_of_paths(station)}
-    steps, years = series.steps[:STEPS_SHOWN], use.drift.matrix(station)
-    return _page(request, use, "station.html", "/", station=station, years=years, steps=steps, **told)
-
-
-@router.get("/stations/{station}/{antenna}/{dipole}/{month}")
-def show_version_of_month(use: UseCases, station: InPath, antenna: int, dipole: InPath, month: InPath) -> Response:
-    (path,) = select_paths(use.instrument, station, antenna, dipole)
-    version = use.drift.version_at(path, parse_instant("month", f"{month}-15"))
-    return RedirectResponse(f"/calibrations/{version}", status.HTTP_303_SEE_OTHER)
-
-
-@router.get("/calibrations/{version_id}")
-def show_calibration(request: Request, use: UseCases, version_id: InPath) -> Response:
-    version, promotions, confirmed = use.calibrations.get_with_promotions(version_id)
-    curves = [
-        {"name": c.name, **{k: list_numbers(getattr(c, k)) for k in ("frequency_mhz", "c", "c_sigma_stat")}}
-        for c in version.curves
-        if c.c is not None
-    ]
-    return _page(
-        request, use, "calibration.html", "/", version=version, promotions=promotions, plot={"curves": curves},
-        chains=_rows_of_chains(version), confirmed=confirmed,
-        downloads=[name for name in FORMATS if name != "nuradio" or version.scope.antenna is not None],
-    )  # fmt: skip
+    ended = [one for one in use.alarms.newest(AlarmsAsked((ENDED,), ENDED_SHOWN)) if span.has(one.raised)]
+    lasting = [one for one in lasting if span.until is None or one.raised < span.until]
+    now, counts = use.clock(), use.status.look().alarms
+    return _page(request, use, span, "alarms.html", "/alarms", lasting=lasting, ended=ended, now=now, counts=counts)
 
 
 @router.get("/models")
-def show_models(request: Request, use: UseCases) -> Response:
-    return _page(request, use, "models.html", "/models", models=use.models.history())
+def show_models(request: Request, use: UseCases, span: InSpan) -> Response:
+    models = [one for one in use.models.history() if span.has(one.change.at)]
+    return _page(request, use, span, "models.html", "/models", models=models)
+
+
+# The life of a station and of a path.
+
+
+@router.get("/stations/{station}")
+def show_station(request: Request, use: UseCases, station: InPath, span: InSpan, csv: CsvQuery = "") -> Response:
+    select_paths(use.instrument, station, None, None)
+    series, life = use.drift.series(Scope(station)), use.lives.of(station)
+    at = _last_shown(use, span)
+    in_effect = dict([] if at is None else _find_stations(use, at)).get(station, [])
+    figures = {
+        "curve": draw_curves(f"C of {station}, the mean of its paths", in_effect, _published(use))
+        if in_effect
+        else None,
+        "terms": _draw_terms(use, in_effect),
+        "time": charts.draw_path(life, series, span, None, ""),
+        "life": charts.draw_life(life, series, span, use.clock()),
+        "matrix": charts.draw_matrix(station, use.drift.matrix(station), span),
+    }
+    return _page(
+        request, use, span, "station.html", "/", figures, csv, station=station, life=life, at=at,
+        means=use.drift.means_of_paths(station), slopes=use.drift.slopes_of_paths(station),
+        steps=[one for one in series.steps if span.has(one.date)][:STEPS_SHOWN],
+    )  # fmt: skip
+
+
+def _last_shown(use: Factory, span: Span) -> Instant | None:
+    """The last instant of the span; where that is open, the last event."""
+    return span.until - 1 if span.until is not None else look_over(use.database, use.instrument, use.clock).last
+
+
+def _published(use: Factory) -> dict[str, Any]:
+    return published_curve() if use.instrument.name == SUPERTERP else {}
+
+
+@router.get("/paths")
+def find_path(
+    use: UseCases, span: InSpan, station: str, antenna: AntennaQuery, dipole: str, at: str = ""
+) -> RedirectResponse:
+    (path,) = select_paths(use.instrument, station, antenna, dipole)
+    address = f"/paths/{path.station}/{path.antenna}/{path.dipole}{span.with_more(at=at)}"
+    return RedirectResponse(address, status.HTTP_303_SEE_OTHER)
+
+
+@router.get("/paths/{station}/{antenna}/{dipole}")
+def show_path(
+    request: Request, use: UseCases, station: InPath, antenna: int, dipole: InPath, span: InSpan, at: str = "",
+    csv: CsvQuery = "",
+) -> Response:  # fmt: skip
+    (path,) = select_paths(use.instrument, station, antenna, dipole)
+    series, life = use.drift.series(path), use.lives.of(station, antenna, dipole)
+    instant = parse_instant("at", at) if at else _last_shown(use, span)
+    try:
+        found = None if instant is None else use.calibrations.in_effect(instant, [path]).curves[0]
+        gap = "no spectra are stored"
+    except NotInEffectError as error:
+        found, gap = None, str(error)
+    address = f"/paths/{station}/{antenna}/{dipole}"
+    figures = {
+        "time": charts.draw_path(life, series, span, instant, address),
+        "life": charts.draw_life(life, series, span, use.clock()),
+        **(_draw_date(use, path, found) if found is not None else {}),
+    }
+    return _page(
+        request, use, span, "path.html", "/", figures, csv, path=path, life=life, at=instant, found=found, gap=gap
+    )
+
+
+def _draw_date(use: Factory, path: Scope, found: CurveInEffect) -> dict[str, Chart | None]:
+    """What is known of a path on a date: C beside its predecessor, the noise in kelvin, the fit over sidereal time."""
+    curve, name, before = found.told.curve, name_path(*path.parts), _find_predecessor(use, found)
+    beside = _published(use) | ({} if before is None else {"before it": (before.frequency_mhz, before.c)})
+    drawn: dict[str, Chart | None] = {
+        "curve": draw_curves(f"C of {name} on {format_instant(found.at)[:10]}", [curve], beside),
+        "difference": None if before is None else draw_difference(before, curve, ("before it", "this version")),
+        "terms": _draw_terms(use, [curve]),
+    }
+    if not curve.parameters:
+        return drawn  # a curve without noise constants says nothing of the power
+    _, prediction = use.predictions.of(str(path.station), path.antenna or 0, str(path.dipole), found.at, None)
+    if prediction.per_kelvin is not None:
+        kelvin = {term: power / prediction.per_kelvin for term, power in prediction.contributions.items()}
+        drawn["noise"] = draw_noise(prediction.frequency_mhz, kelvin, f"noise of {name}")
+    over_lst = use.predictions.over_lst(found)
+    return drawn | {"lst": None if over_lst is None else charts.draw_over_lst(over_lst, name)}
+
+
+def _find_predecessor(use: Factory, found: CurveInEffect) -> CalibrationCurve | None:
+    """What the path was told before the version that answers began to."""
+    try:
+        before = use.calibrations.in_effect(found.promotion.valid_from - 1, [found.path]).curves[0]
+    except NotInEffectError:
+        return None
+    return before.told.curve if before.told.curve.c is not None else None
+
+
+# A version, two versions, a finding.
+
+
+@router.get("/calibrations/{version_id}")
+def show_calibration(
+    request: Request, use: UseCases, version_id: InPath, span: InSpan, against: str = "", csv: CsvQuery = ""
+) -> Response:
+    version, promotions, confirmed = use.calibrations.get_with_promotions(version_id)
+    other = use.calibrations.get(against) if against else None
+    fitted = [curve for curve in version.curves if curve.c is not None]
+    figures: dict[str, Chart | None] = {
+        "curve": draw_curves(f"C of {name_scope(version.scope)}", fitted, _published(use)) if fitted else None,
+        "terms": _draw_terms(use, fitted),
+    }
+    for curve in fitted if other is not None else ():
+        first = next((one for one in other.curves if one.dipole == curve.dipole and one.c is not None), None)  # type: ignore[union-attr]
+        if first is not None:
+            names = (f"version {against[:8]}", f"this version, {curve.dipole}")
+            figures[f"difference-{curve.dipole}"] = draw_difference(first, curve, names)
+    scope = version.scope
+    others = [one for one in use.calibrations.search(scope, None, "", 100) if one.id != version.id]
+    return _page(
+        request, use, span, "calibration.html", "/", figures, csv, version=version, promotions=promotions,
+        chains=_rows_of_chains(version), confirmed=confirmed, other=other, others=others[-MOST_OTHERS:],
+        downloads=[name for name in FORMATS if name != "nuradio" or scope.antenna is not None],
+    )  # fmt: skip
+
+
+MOST_OTHERS = 30
 
 
 @router.get("/investigations/{name}")
-def show_investigation(request: Request, use: UseCases, name: InPath) -> Response:
+def show_investigation(request: Request, use: UseCases, name: InPath, span: InSpan) -> Response:
     found = use.investigations.get(name)
-    # reports of before there were models have neither
+    changes = {
+        by.ref.rpartition("#")[2]: one
+        for one in use.changes.list_all(found.station)
+        for by in one.evidence
+        if by.ref.startswith(f"{found.id}#")
+    }
+    findings = [
+        (one, follows_date(one["cause"], one["parameters"]), changes.get(str(number)))
+        for number, one in enumerate(found.report["findings"])
+    ]
+    stations = [one for one in found.report.get("stations", ()) if one["station"] == found.station]
+    # reports of before there were models have no adopted causes
     adopted = found.report.get("adopted", [])
-    findings = enumerate(found.report["findings"])
-    dated = [number for number, one in findings if follows_date(one["cause"], one["parameters"])]
     return _page(
-        request, use, "investigation.html", "/", found=found, report=found.report, adopted=adopted, dated=dated
-    )
+        request, use, span, "investigation.html", "/", found=found, report=found.report, adopted=adopted,
+        findings=findings, station=stations[0] if stations else {},
+    )  # fmt: skip
 
 
 def _rows_of_chains(version: Version) -> list[dict[str, Any]]:
@@ -175,22 +395,20 @@ def _version_rows(series: DriftSeries, stories: Mapping[tuple[str, str], Story])
     ordered = sorted(series.versions, key=lambda version: (version.dipole, version.since, version.calibration))
     for dipole, of_dipole in groupby(ordered, key=lambda version: version.dipole):
         versions = list(of_dipole)
-        rows += [
-            {
-                "name": name_scope(series.scope),
-                "dipole": dipole,
-                "calibration": version.calibration,
-                "window": f"{format_day(version.since)} to {format_day(version.until)}",
-                "middle": format_instant((version.since + version.until) // 2)[:10],
-                "c": version.c,
-                "c_sigma": version.c_sigma,
-                "change": stories[version.calibration, dipole].change,
-                "change_sigma": _sigma_of_change(version, versions[0], stories[version.calibration, dipole].change),
-                "why": stories[version.calibration, dipole].words,
-                "url": f"/calibrations/{version.calibration}",
-            }
-            for version in versions
-        ]
+        for version in versions:
+            story = stories[version.calibration, dipole]
+            address, ratio = f"/calibrations/{version.calibration}", 1.0 + story.change
+            window = version.since, version.until
+            point = charts.VersionPoint(dipole, *window, ratio, ratio * version.c_sigma / version.c, address)
+            rows.append(
+                {
+                    "name": name_scope(series.scope), "dipole": dipole, "calibration": version.calibration,
+                    "window": f"{format_day(version.since)} to {format_day(version.until)}", "since": version.since,
+                    "c": version.c, "c_sigma": version.c_sigma, "change": story.change, "point": point,
+                    "change_sigma": _sigma_of_change(version, versions[0], story.change), "why": story.words,
+                    "url": address,
+                }
+            )  # fmt: skip
     return rows
 
 
@@ -199,26 +417,3 @@ def _sigma_of_change(version: MeanC, first: MeanC, change: float) -> float:
     if version.calibration == first.calibration:
         return 0.0
     return (1.0 + change) * math.hypot(version.c_sigma / version.c, first.c_sigma / first.c)
-
-
-def _plot_of_series(series: DriftSeries, rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Months as rows of numbers: with ten years the names of their fields were most of the page."""
-    number = {row["calibration"]: k for k, row in enumerate(rows)}
-    return {
-        "name": name_scope(series.scope),
-        "url": f"/stations/{series.scope.station}" if series.scope.station else "/",
-        "months": [
-            [
-                format_instant(p.month)[:7], p.c_ratio, p.low, p.high, p.paths, p.events, p.line,
-                None if p.calibration is None else number[p.calibration],
-            ]
-            for p in series.months
-        ],
-        "versions": [
-            {
-                "middle": row["middle"], "window": row["window"], "dipole": row["dipole"], "url": row["url"],
-                "ratio": 1.0 + row["change"], "sigma": row["c_sigma"] / row["c"],
-            }
-            for row in rows
-        ],
-    }  # fmt: skip

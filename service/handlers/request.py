@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import re
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Iterator, Sequence
 from contextlib import AbstractAsyncContextManager, nullcontext
 from typing import Annotated, Any, cast
 
@@ -22,7 +22,7 @@ from service.wire.answers import choose_media, to_json
 
 IMMUTABLE = "public, max-age=31536000, immutable"
 REVALIDATE = "no-cache"
-KEY_COOKIE, FORM_COOKIE = "lbacal_key", "lbacal_form"
+SESSION_COOKIE, FORM_COOKIE = "lbacal_session", "lbacal_form"
 HDF5 = "application/x-hdf5"
 SMALL_BODY = 65_536
 """Bytes of a body that changes one thing; the longest reason takes 24,000."""
@@ -72,32 +72,34 @@ def require_read(request: Request, use: UseCases, _bearer: Bearer) -> Caller:
     return require_caller(request, use, "read")
 
 
-def require_caller(request: Request, use: Factory, *scopes: str, authorization: str | None = None) -> Caller:
+def require_caller(
+    request: Request, use: Factory, *scopes: str, authorization: str | None = None, session: str | None = None
+) -> Caller:
     """Who asks, if they may; an address that tries many wrong keys is told to wait.
 
-    `authorization` is that of the request unless it is given: its header, or where reads need a key, and for reads
-    alone, the key that a browser keeps.
+    `authorization` is that of the request unless it is given: its header. A session is taken where a form was sent with
+    it; and where reads need a key that of the browser, for reads alone.
     """
     guard = cast("KeyGuard", request.app.state.guard)
     address = request.client.host if request.client else ""
     authorization = authorization or request.headers.get("authorization")
     if authorization is None and scopes == ("read",) and request.method == "GET" and not use.settings.open_reads:
-        kept = request.cookies.get(KEY_COOKIE)
-        authorization = None if kept is None else f"Bearer {kept}"
-    guard.require_patience(address, authorization)
+        session = session or request.cookies.get(SESSION_COOKIE)
+    shown = authorization if session is None else f"session {session}"
+    guard.require_patience(address, shown)
     try:
-        caller = use.keys.require(authorization, *scopes)
+        caller = use.keys.require(authorization, *scopes, session=session)
     except UnauthenticatedError:
-        guard.note_refused(address, authorization)
+        guard.note_refused(address, shown)
         raise
-    guard.note_good(authorization)
+    guard.note_good(shown)
     request.state.caller = caller.name
     return caller
 
 
 async def require_known_query(request: Request) -> None:
     """Refuse a query parameter that the route does not have: a misspelt filter must not answer about everything."""
-    known = {parameter.alias for parameter in request.scope["route"].dependant.query_params}
+    known = set(_list_query(request.scope["route"].dependant))
     seen: set[str] = set()
     for name, _ in request.query_params.multi_items():
         if name not in known:
@@ -105,6 +107,13 @@ async def require_known_query(request: Request) -> None:
         if name in seen:
             raise BadInputError("query", f"{name} once", "it twice")
         seen.add(name)
+
+
+def _list_query(dependant: Any) -> Iterator[str]:
+    """The query parameters of a route and of what it depends on."""
+    yield from (parameter.alias for parameter in dependant.query_params)
+    for one in dependant.dependencies:
+        yield from _list_query(one)
 
 
 async def require_acceptable(request: Request) -> None:

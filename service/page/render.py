@@ -1,20 +1,25 @@
-"""Fill the templates; every page is complete without script, which only adds plots and polling."""
+"""Fill the templates; every page is complete without script, which adds polling, and zooming by the pointer."""
 
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import cache
 from importlib.resources import files
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
 from lbacal.instants import format_instant
+from lbacal.pages.chart import Chart
+from lbacal.pages.finding import FILTERS
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import name_path, write_chance, write_change, write_percent
 from service.errors import NotFoundError
+from service.page import charts
+from service.page.span import EVERYTHING
 from service.usecases.gate import name_members, tell_shapes
 
 # Files of the page under names that hold their hash: a browser may keep them for ever, and never shows an old one.
@@ -22,7 +27,6 @@ from service.usecases.gate import name_members, tell_shapes
 _FILES = {
     "page.css": ("page.css", "text/css"),
     "page.js": ("page.js", "text/javascript"),
-    "plotly.js": ("vendor/plotly-cartesian-4.1.1.min.js", "text/javascript"),
     "icon.svg": ("icon.svg", "image/svg+xml"),
 }
 
@@ -45,7 +49,9 @@ class Asset:
 def load_assets() -> dict[str, Asset]:
     """All files of the page by name."""
     folder = files("service.page") / "static"
-    return {name: Asset(name, folder.joinpath(path).read_bytes(), media) for name, (path, media) in _FILES.items()}
+    found = {name: Asset(name, folder.joinpath(path).read_bytes(), media) for name, (path, media) in _FILES.items()}
+    shared = (files("lbacal.pages") / "templates/figures.css").read_bytes()
+    return found | {"page.css": replace(found["page.css"], content=shared + found["page.css"].content)}
 
 
 def find_asset(digest: str, name: str) -> Asset:
@@ -56,13 +62,21 @@ def find_asset(digest: str, name: str) -> Asset:
     return asset
 
 
+@dataclass(frozen=True)
+class Figure:
+    """A chart on a page, and the address of its numbers."""
+
+    chart: Chart
+    csv: str
+
+
 SHORT_DAYS = 10.0
 
 
 @cache
 def _environment() -> Environment:
     environment = Environment(
-        loader=PackageLoader("service.page", "templates"),
+        loader=ChoiceLoader([PackageLoader("service.page"), PackageLoader("lbacal.pages")]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
@@ -71,9 +85,13 @@ def _environment() -> Environment:
     environment.filters |= {"day": format_day, "moment": format_moment, "percent": format_percent, "scope": name_scope}
     environment.filters["days"] = format_days
     environment.filters |= {"short": lambda text: text[:10], "chance": write_chance, "change": write_change}
-    environment.filters |= {"members": name_members, "shapes": tell_shapes}
+    environment.filters |= {"members": name_members, "shapes": tell_shapes, **FILTERS}
+    environment.filters |= {"whose": charts.name_members, "address": charts.address_of}
     environment.globals["assets"] = {name: asset.url for name, asset in load_assets().items()}
     return environment
+
+
+_DEFAULTS = {"span": EVERYTHING, "q": "", "leave": None, "address_here": "/"}
 
 
 def render_page(name: str, **content: Any) -> bytes:
@@ -83,7 +101,22 @@ def render_page(name: str, **content: Any) -> bytes:
 
 def render_part(name: str, **content: Any) -> str:
     """A page, or the part of one that a template puts in as it is, as HTML."""
-    return _environment().get_template(name).render(**content)
+    return _TABLE.sub(_name_cells, _environment().get_template(name).render(**{**_DEFAULTS, **content}))
+
+
+_TABLE = re.compile(r"<table>\s*<thead>(.*?)</thead>(.*?)</table>", re.DOTALL)
+
+
+def _name_cells(table: re.Match[str]) -> str:
+    """Give every cell the name of its column, which a narrow screen shows beside it instead of a head."""
+    names = [re.sub(r"<[^>]*>", "", one) for one in re.findall(r"<th[^>]*>(.*?)</th>", table[1], re.DOTALL)]
+    rows = re.split(r"(?=<tr)", table[2])
+    for k, row in enumerate(rows):
+        cells = re.split(r"(?=<td)", row)
+        if len(cells) == len(names) + 1:
+            named = (f'<td data-name="{name}"{cell[3:]}' for name, cell in zip(names, cells[1:], strict=True))
+            rows[k] = cells[0] + "".join(named)
+    return f'<table class="fold"><thead>{table[1]}</thead>{"".join(rows)}</table>'
 
 
 def format_day(instant: Instant | None) -> str:

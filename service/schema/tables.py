@@ -349,6 +349,14 @@ api_key = Table(
     Column("revoked_us", BigInteger),
 )
 
+session = Table(
+    "session",
+    metadata,
+    Column("sha256", Text, primary_key=True, comment="of what the cookie holds"),
+    Column("key", Integer, ForeignKey("api_key.id"), nullable=False),
+    Column("expires_us", BigInteger, nullable=False),
+)
+
 alarm = Table(
     "alarm",
     metadata,

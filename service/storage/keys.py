@@ -9,7 +9,7 @@ from sqlalchemy import delete, select, update
 
 from lbacal_core.curves.validity import Instant
 from service.errors import NotFoundError
-from service.schema.tables import api_key, deed
+from service.schema.tables import api_key, deed, session
 from service.storage.rows import Store, from_row, insert_into
 
 
@@ -55,6 +55,21 @@ class KeyStore(Store):
         """The key with a hash, valid or not."""
         rows = self._keys(sha256)
         return rows[0] if rows else None
+
+    def begin_session(self, sha256: str, key: int, expires: Instant, now: Instant) -> None:
+        """Keep that a browser is logged in with a key, and forget the sessions that ran out."""
+        self._connection.execute(delete(session).where(session.c.expires_us <= now))
+        self._connection.execute(session.insert().values(sha256=sha256, key=key, expires_us=expires))
+
+    def of_session(self, sha256: str, now: Instant) -> Key | None:
+        """The key of a session that lasts, valid or not."""
+        of = select(api_key.c.sha256).join(session).where(session.c.sha256 == sha256, session.c.expires_us > now)
+        found = self._connection.execute(of).scalar_one_or_none()
+        return None if found is None else self.find(found)
+
+    def end_session(self, sha256: str) -> None:
+        """Forget a session."""
+        self._connection.execute(delete(session).where(session.c.sha256 == sha256))
 
     def all(self) -> list[Key]:
         """All keys, oldest first."""

@@ -336,11 +336,6 @@ class LedgerStore:
         )
         return [_value(row) for row in self._connection.execute(statement.order_by(promotion.c.id.desc()).limit(limit))]
 
-    def recent(self, limit: int) -> list[Promotion]:
-        """The newest promotions, newest first."""
-        statement = select(promotion).order_by(promotion.c.at_us.desc(), promotion.c.id.desc()).limit(limit)
-        return [_value(row) for row in self._connection.execute(statement)]
-
     def _neighbours(
         self, scopes_of: dict[Scope, tuple[Scope, ...]], instant: Instant, as_of: Instant | None
     ) -> dict[Scope, Neighbours]:

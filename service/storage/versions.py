@@ -348,11 +348,6 @@ class VersionStore(Store):
         waiting = select(func.count()).select_from(calibration).where(IS_GATED, ~promoted, ~_has_newer())
         return int(self._connection.execute(waiting).scalar_one())
 
-    def newest(self, limit: int) -> list[Version]:
-        """The versions made last, newest first."""
-        statement = select(calibration).order_by(calibration.c.made_us.desc(), calibration.c.id.desc()).limit(limit)
-        return self._values(self._connection.execute(statement).all())
-
     def means(self, ids: Iterable[str]) -> list[MeanC]:
         """Band means of C of the converged curves of versions, in order of their windows."""
         columns = [

@@ -16,6 +16,8 @@ from service.storage.keys import Key
 
 SCOPES = ("read", "spectra:write", "refits:run", "calibrations:promote", "admin")
 LONGEST_NAME = 60
+SESSION_US = DAY_US // 2
+"""A browser is logged in for as long as it is open, and no longer than this."""
 
 
 @dataclass(frozen=True)
@@ -63,12 +65,24 @@ class Keys:
         with self.database.write() as stores:
             stores.keys.revoke(number, self.clock())
 
-    def require(self, authorization: str | None, *scopes: str) -> Caller:
-        """Who asks, if they may: `authorization` is the header, None where it is absent."""
-        caller = self._identify(authorization)
+    def begin_session(self, text: str) -> str:
+        """Exchange the text of a key for that of a session, which ends by itself, or with the key."""
+        key, session, now = self._find(text), secrets.token_urlsafe(32), self.clock()
+        with self.database.write() as stores:
+            stores.keys.begin_session(_sha256(session), key.number, now + SESSION_US, now)
+        return session
+
+    def end_session(self, session: str) -> None:
+        """Forget a session."""
+        with self.database.write() as stores:
+            stores.keys.end_session(_sha256(session))
+
+    def require(self, authorization: str | None, *scopes: str, session: str | None = None) -> Caller:
+        """Who asks, if they may: `authorization` is the header, `session` that of a browser; None where absent."""
+        caller = self._identify(authorization) if session is None else self._recognise(session)
         for scope in scopes:
             if not caller.may(scope):
-                if authorization is None:
+                if authorization is None and session is None:
                     raise UnauthenticatedError(f"this needs a key with scope {scope}: Authorization: Bearer KEY")
                 raise ForbiddenError(f"{caller.name} has no scope {scope}, only {', '.join(sorted(caller.scopes))}")
         return caller
@@ -79,10 +93,23 @@ class Keys:
         scheme, _, text = authorization.partition(" ")
         if scheme.lower() != "bearer":
             raise UnauthenticatedError("the header Authorization is not of the form: Bearer KEY")
-        key = self.database.ask(lambda stores: stores.keys.find(_sha256(text.strip())))
+        return _caller_of(self._find(text.strip()))
+
+    def _find(self, text: str) -> Key:
+        key = self.database.ask(lambda stores: stores.keys.find(_sha256(text)))
         if key is None or not key.is_valid(self.clock()):
             raise UnauthenticatedError("the key is unknown, expired or revoked")
-        return Caller(key.label, frozenset(key.scopes) | {"read"})
+        return key
+
+    def _recognise(self, session: str) -> Caller:
+        key = self.database.ask(lambda stores: stores.keys.of_session(_sha256(session), self.clock()))
+        if key is None or not key.is_valid(self.clock()):
+            raise UnauthenticatedError("the session has ended, or its key is expired or revoked: log in again")
+        return _caller_of(key)
+
+
+def _caller_of(key: Key) -> Caller:
+    return Caller(key.label, frozenset(key.scopes) | {"read"})
 
 
 def _sha256(text: str) -> str:

@@ -5,14 +5,17 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 
+from lbacal_core.calibration.one_event import OverLst, compare_over_lst
 from lbacal_core.calibration.prediction import Prediction
 from lbacal_core.causes.model import Model
 from lbacal_core.curves.covariance import parse_budget
 from lbacal_core.curves.validity import Instant
 from lbacal_core.discovery.forward import predict
 from lbacal_core.simulation.simulation import Simulation
+from service.storage.spectra import Window
 from service.storage.versions import MICROSECONDS
 from service.usecases.calibrations import Calibrations, CurveInEffect, select_paths
+from service.usecases.fits import Fits
 
 
 @dataclass(frozen=True)
@@ -21,6 +24,7 @@ class Predictions:
 
     calibrations: Calibrations
     simulation: Simulation
+    fits: Fits
 
     def of(
         self, station: str, antenna: int, dipole: str, at: Instant, temperature_c: float | None
@@ -32,7 +36,20 @@ class Predictions:
         text = None if told.covariance is None else found.budgets.get(str(told.covariance.budget))
         budget = None if text is None else parse_budget(json.loads(text))
         is_own, seconds = curve.promotion.scope.antenna is not None, at / MICROSECONDS
-        model = curve.version.inputs["settings"].get("model")
+        model = curve.version.inputs.get("settings", {}).get("model")
         # the causes of the version that answers, at their adopted sizes: those fitted again are not kept with it
         simulation = self.simulation if model is None else self.simulation.with_causes(Model.from_text(model))
         return curve, predict(told, simulation, seconds, budget=budget, temperature_c=temperature_c, is_own=is_own)
+
+    def over_lst(self, curve: CurveInEffect) -> OverLst | None:
+        """Measured and predicted band power of a path against sidereal time, by the events of its version's window.
+
+        None where there are no spectra of the path.
+        """
+        version, database = curve.version, self.calibrations.database
+        with database.read() as stores:
+            window = Window(version.since, version.until, curve.path)
+            if not stores.spectra.content(window)[0]:
+                return None
+            spectra = self.fits.load_window(stores, window, with_covariates=False)
+        return compare_over_lst(spectra, curve.told.curve, self.simulation)

@@ -13,7 +13,7 @@ from typing import Self
 import structlog
 
 from lbacal.instants import DAY_US
-from lbacal_core.curves.validity import Instant, Promotion, Scope
+from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import LbacalError
 from lbacal_core.instrument.instrument import Instrument
 from service.errors import UnavailableError
@@ -121,15 +121,13 @@ class StationState:
 
 @dataclass(frozen=True)
 class Overview:
-    """Counts, stations, and what changed last."""
+    """Counts, and stations."""
 
     events: int
     first: Instant | None
     last: Instant | None
     open_parts: int
     stations: Sequence[StationState]
-    promotions: Sequence[Promotion]
-    versions: Sequence[Version]
 
     @property
     def paths(self) -> int:
@@ -137,12 +135,17 @@ class Overview:
         return sum(station.paths for station in self.stations)
 
     @property
+    def without_data(self) -> int:
+        """Those that are told the mean of others."""
+        return sum(station.without_data for station in self.stations)
+
+    @property
     def paths_in_effect(self) -> int:
         """Those with data behind the version in effect at the last event."""
         return sum(station.in_effect for station in self.stations)
 
 
-def look_over(database: Database, instrument: Instrument, clock: Callable[[], Instant], newest: int = 10) -> Overview:
+def look_over(database: Database, instrument: Instrument, clock: Callable[[], Instant]) -> Overview:
     """Gather the state of everything."""
     paths = select_paths(instrument, None, None, None)
     with database.read() as stores:
@@ -169,8 +172,6 @@ def look_over(database: Database, instrument: Instrument, clock: Callable[[], In
             last=span[1] if span else None,
             open_parts=stores.jobs.count_open(),
             stations=stations,
-            promotions=stores.ledger.recent(newest),
-            versions=stores.versions.newest(newest),
         )
 
 
@@ -178,6 +179,22 @@ def _is_member(version: Version, path: Scope) -> bool:
     """Whether a path is one of those whose mean a version is."""
     chain = version.chains.get(str(path.dipole))
     return chain is not None and (path.station, path.antenna) in chain.member_set
+
+
+def tell_problems(state: State, overview: Overview, stopped: Sequence[str]) -> list[str]:
+    """What is not all right, the worst first; nothing where everything is."""
+    found = [] if state.problem is None else [f"The service is not ready: {state.problem}."]
+    found += [f"{sentence}." for sentence in state.stuck]
+    silent = overview.paths - overview.paths_in_effect - overview.without_data
+    if overview.last is None:
+        found.append("No spectra are stored yet.")
+    elif silent:
+        found.append(f"{silent} of {overview.paths} paths have no calibration in effect at the last event.")
+    if state.alarms.open:
+        found.append(f"Alarms: {state.alarms.line}.")
+    if state.failures:
+        found.append(f"{len(state.failures)} jobs failed and nothing has made up for it.")
+    return [*found, *(f"No longer pays: {sentence}" for sentence in stopped)]
 
 
 # A process records that it lives, every few seconds, for as long as its work runs.

@@ -1,17 +1,19 @@
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Locator, Page, expect
 
 from lbacal.instants import DAY_US, parse_instant
 from service.config import Settings
 from service.factory import Factory
 from service.storage.changes import DRIFT, Change, Evidence
-from validation.running.processes import Process, find_free_port, is_ready, running, wait_until
+from validation.running.processes import Process, find_free_port, get, is_ready, running, wait_until
 
 
 @pytest.fixture
@@ -34,52 +36,149 @@ def test_a_page_shows_without_complaint(page: Page, service: Any, address: str) 
     expect(page.locator("h1, h2").first).to_be_visible()
 
 
-def test_the_drift_is_plotted_and_leads_to_a_version(page: Page, service: Any) -> None:
+def test_the_first_screen_answers_five_questions_each_with_a_picture(page: Page, service: Any) -> None:
+    page.goto(service.url + "/")
+    for question in ("right", "effect", "known", "waits"):
+        expect(page.locator(f"#{question} .figure svg").first).to_be_visible()
+    asked = ("Is everything all right?", "What changed?", "What is in effect on 2015-", "How well do we know it?")
+    for heading, words in zip(page.locator("h2").all(), (*asked, "What waits for me?"), strict=True):
+        expect(heading).to_contain_text(words)
+    sent = page.evaluate("performance.getEntriesByType('resource').reduce((sum, one) => sum + one.transferSize, 0)")
+    whole = page.evaluate("performance.getEntriesByType('navigation')[0].transferSize")
+    assert sent + whole < 300_000
+
+
+def test_station_antenna_and_date_lead_to_c_with_both_errors(page: Page, service: Any) -> None:
+    page.goto(service.url + "/")
+    page.get_by_label("antenna").fill("1")
+    page.get_by_label("dipole").select_option("Y")
+    page.get_by_label("date").fill("2014-05-20")
+    page.get_by_role("button", name="C on that date").click()
+    expect(page.locator("h1")).to_have_text("CS002 antenna 1 Y")
+    drawn = page.locator("#date figure svg")
+    titles = ("C of CS002 antenna 1 Y on 2014-05-20", "fit of CS002 antenna 1 Y over sidereal time", "noise of")
+    for title in titles:
+        expect(page.locator(f"#date svg[aria-label^='{title}']")).to_be_visible()
+    assert drawn.first.locator("path.band").count() == 2
+    asked = {"station": "CS002", "antenna": 1, "dipole": "Y", "at": "2014-05-20"}
+    (told,) = get(f"{service.url}/v1/calibrations/effective", params=asked).json()["curves"]
+    k = told["frequency_mhz"].index(50.0)
+    total = math.hypot(told["c_sigma_stat"][k], told["c_sigma_sys"][k]) / told["c"][k]
+    assert total > 3 * told["c_sigma_stat"][k] / told["c"][k], "the systematic error is the larger one"
+    said = drawn.first.locator("title", has_text=" 50 MHz: ").text_content()
+    assert f"50 MHz: {1e6 * told['c'][k]:.2f} µV" in said
+    assert f"± {100 * total:.1f} % in all" in said
+
+
+def test_the_drift_is_drawn_and_a_point_leads_to_its_version(page: Page, service: Any) -> None:
     page.goto(service.url + "/drift")
-    expect(page.locator(".plot[data-ready=yes] .main-svg").first).to_be_visible()
-    assert page.locator(".plot .scatterlayer .trace").count() >= 2
-    page.locator("table a[href^='/calibrations/']").first.click()
-    expect(page.locator(".plot[data-ready=yes] .main-svg").first).to_be_visible()
+    version = page.locator("svg a[href^='/calibrations/']").first
+    expect(version).to_be_visible()
+    version.locator("circle").click()
     expect(page.locator("h1")).to_contain_text("CS002")
+    assert page.locator("figure svg path.band").count() >= 4
 
 
-def test_a_click_on_a_point_leads_to_its_version(page: Page, service: Any) -> None:
-    page.goto(service.url + "/drift")
-    expect(page.locator(".plot[data-ready=yes]")).to_be_visible()
-    point = page.locator(".scatterlayer .points path.point").first
-    box = point.bounding_box()
-    assert box is not None
-    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2, steps=4)
-    expect(page.locator(".hoverlayer .hovertext").first).to_be_visible()
+def test_a_month_of_a_path_leads_to_c_on_that_date(page: Page, service: Any) -> None:
+    page.goto(service.url + "/stations/CS002")
+    page.locator("svg a[href^='/paths/CS002/1/Y']").click()
+    expect(page.locator("h1")).to_have_text("CS002 antenna 1 Y")
+    page.locator("svg a[href*='at=2014-05-15'] circle").click()
+    expect(page.locator("#date h2")).to_have_text("C on 2014-05-15")
+
+
+def test_the_first_screen_is_used_by_keyboard_alone(page: Page, service: Any) -> None:
+    page.goto(service.url + "/")
+    page.get_by_label("dipole").focus()
+    page.keyboard.press("Y")
+    for _ in range(20):
+        page.keyboard.press("Tab")
+        if page.evaluate("document.activeElement.innerText") == "C on that date":
+            break
+    page.keyboard.press("Enter")
+    expect(page.locator("h1")).to_have_text("CS002 antenna 0 Y")
+    page.locator("#life svg a").first.focus()
     with page.expect_navigation():
-        page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
-    assert "/calibrations/" in page.url
+        page.keyboard.press("Enter")
+    assert page.locator("#life, h1").first.is_visible()
+
+
+def test_a_range_drawn_with_the_pointer_is_that_of_every_page_then(page: Page, service: Any) -> None:
+    page.goto(service.url + "/drift")
+    box = page.locator("svg[data-time]").first.bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + 0.4 * box["width"], box["y"] + 0.5 * box["height"])
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.6 * box["width"], box["y"] + 0.5 * box["height"], steps=4)
+    with page.expect_navigation():
+        page.mouse.up()
+    since, until = (page.locator(f"form.span input[name={name}]").input_value() for name in ("since", "until"))
+    assert "2014-06-01" < since < "2014-12-31" < until < "2015-07-01"
+    page.get_by_role("link", name="Overview").click()
+    assert page.locator("form.span input[name=since]").input_value() == since
+
+
+def test_an_investigation_is_drawn_as_in_the_report_of_a_file(page: Page, service: Any) -> None:
+    (made, *_) = get(f"{service.url}/v1/investigations").json()["investigations"]
+    page.goto(f"{service.url}/investigations/{made['id']}")
+    expect(page.locator("svg[aria-label^='residuals of the mean over all paths before']").first).to_be_visible()
+    assert page.locator("svg image").count() >= 2 * 3 * 2
 
 
 def test_a_station_shows_its_paths_month_by_month(page: Page, service: Any) -> None:
     page.goto(service.url + "/stations/CS002")
-    expect(page.locator(".plot[data-ready=yes] .heatmaplayer")).to_be_attached()
-    assert page.locator("table").count() == 2
+    expect(page.locator("svg[aria-label='change of C of every path'] image").first).to_be_visible()
+    assert page.locator("svg[aria-label='change of C of every path'] a").count() == 4
 
 
-def test_without_script_the_tables_say_it_all(browser: Browser, service: Any) -> None:
-    context = browser.new_context(java_script_enabled=False)
+PAGES = ("/", "/drift", "/alarms", "/models", "/jobs", "/stations/CS002", "/paths/CS002/1/Y")
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_no_page_has_a_serious_barrier(browser: Browser, service: Any, scheme: Any) -> None:
+    """By axe-core: names of controls, contrast, order of headings, what a keyboard reaches."""
+    context = browser.new_context(viewport={"width": 1400, "height": 900}, color_scheme=scheme)
     page = context.new_page()
-    page.goto(service.url + "/drift")
-    expect(page.get_by_text("CS002 Y").first).to_be_visible()
-    expect(page.get_by_text("Fewer than three years tell no slope.")).to_be_visible()
-    expect(page.locator("noscript p")).to_be_visible()
+    log_in(page, service, "/")
+    (made, *_) = get(f"{service.url}/v1/investigations").json()["investigations"]
+    (version, *_) = get(f"{service.url}/v1/calibrations").json()["calibrations"]
+    found = {}
+    for address in (*PAGES, f"/investigations/{made['id']}", f"/calibrations/{version['id']}", "/log-in", "/nothing"):
+        page.goto(service.url + address)
+        told = Axe().run(page).response["violations"]
+        found[address] = [
+            (one["id"], one["nodes"][0]["html"][:120]) for one in told if one["impact"] in ("serious", "critical")
+        ]
+    assert {address: told for address, told in found.items() if told} == {}
     context.close()
 
 
-@pytest.mark.parametrize(
-    ("width", "address"), [(1240, "/jobs"), (1240, "/"), (800, "/"), (800, "/drift"), (800, "/stations/CS002")]
-)
+@pytest.mark.parametrize("address", PAGES)
+def test_without_script_everything_can_be_read(browser: Browser, service: Any, address: str) -> None:
+    context = browser.new_context(java_script_enabled=False, viewport={"width": 390, "height": 800})
+    page = context.new_page()
+    page.goto(service.url + address)
+    expect(page.locator("h1")).to_be_visible()
+    for figure in page.locator("figure").all():
+        expect(figure.locator("svg").first).to_be_visible()
+    numbers = page.locator("figure a", has_text="CSV")
+    if numbers.count():
+        told = page.request.get(f"{service.url}{address}{numbers.first.get_attribute('href')}")
+        assert told.text().startswith('"series","')
+    context.close()
+
+
+@pytest.mark.parametrize("width", [1400, 800, 390])
+@pytest.mark.parametrize("address", PAGES)
 def test_columns_were_cut_off_at_the_edge_of_a_window(browser: Browser, service: Any, width: int, address: str) -> None:
     page = browser.new_page(viewport={"width": width, "height": 900})
     page.goto(service.url + address, wait_until="networkidle")
+    assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
     outside = "sections => sections.filter(s => s.scrollWidth > s.clientWidth + 1).map(s => s.innerText.slice(0, 80))"
     assert page.locator("main section").evaluate_all(outside) == []
+    for figure in page.locator(".figure.wide").all() if width == 390 else ():
+        shown = figure.evaluate("f => f.getBoundingClientRect().right - f.firstChild.getBoundingClientRect().right")
+        assert abs(shown) < 2, "the newest month, at the right end, is on the screen"
     page.close()
 
 
@@ -116,7 +215,7 @@ def test_a_human_logs_in_reads_and_logs_out(browser: Browser, service: Any, clos
     expect(page.locator(".warn")).to_have_text("the key is unknown, expired or revoked")
     page.get_by_label("Key").fill(service.environment["LBACAL_API_KEY"])
     page.get_by_role("button", name="Log in").click()
-    expect(page.locator(".plot[data-ready=yes] .main-svg").first).to_be_visible()
+    expect(page.locator("figure svg").first).to_be_visible()
     assert page.url == f"{closed}/drift"
     assert page.evaluate("document.cookie") == "", "no script reads the key"
     assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
@@ -159,35 +258,40 @@ def change(service: Any) -> Iterator[int]:
     made.database.close()
 
 
-@pytest.fixture
-def plain_page(browser: Browser) -> Iterator[Page]:
-    made = browser.new_page(viewport={"width": 1240, "height": 900})
-    yield made
-    made.close()
+def log_in(page: Page, service: Any, address: str) -> None:
+    page.goto(f"{service.url}{address}")
+    page.get_by_role("link", name="Log in").click()
+    page.get_by_label("Key").fill(service.environment["LBACAL_API_KEY"])
+    page.get_by_role("button", name="Log in").click()
+    expect(page.get_by_role("button", name="Log out")).to_be_visible()
 
 
-def decide(row: Locator, label: str, key: str, reason: str) -> None:
-    row.locator("summary").click()
+def decide(page: Page, row: Locator, label: str, reason: str) -> None:
+    """Open the form of a row, look at what it would change, and do it."""
+    row.locator("summary", has_text=label).click()
     row.get_by_label("Reason").fill(reason)
-    row.get_by_label("Key").fill(key)
     row.get_by_role("button", name=label).click()
+    expect(page.locator("h1")).to_have_text("Decide about a change")
+    expect(page.get_by_text(f"Reason: {reason}")).to_be_visible()
+    page.get_by_role("button", name="Do it").click()
 
 
+@pytest.mark.parametrize("has_script", [True, False])
 def test_an_admin_dismisses_a_change_with_a_reason_and_takes_that_back(
-    plain_page: Page, service: Any, change: int
+    browser: Browser, service: Any, change: int, has_script: bool
 ) -> None:
-    key = service.environment["LBACAL_API_KEY"]
-    plain_page.goto(service.url + "/drift")
-    row = plain_page.locator("#changes tbody tr")
+    context = browser.new_context(java_script_enabled=has_script, viewport={"width": 390, "height": 800})
+    page = context.new_page()
+    log_in(page, service, "/drift")
+    assert page.url == service.url + "/drift"
+    row = page.locator("#changes tbody tr", has_text="2014-06-01")
     expect(row).to_contain_text("2014-06-01 ± 2.0 d")
-    decide(row, "Dismiss", "a wrong key", "snow")
-    expect(plain_page.locator("p.lead")).to_have_text("the key is unknown, expired or revoked")
-    plain_page.go_back()
-    decide(row, "Dismiss", key, "snow lay on the antenna")
+    decide(page, row, "Dismiss", "snow lay on the antenna")
     expect(row).to_contain_text("snow lay on the antenna")
     expect(row.locator(".state")).to_have_text("dismissed")
-    assert plain_page.url == service.url + "/drift#changes"
+    assert page.url == service.url + "/drift#changes"
     assert service.run("changes").stdout.startswith(f"{change} CS002 antenna 1, step at 2014-06-01 ± 2.0 d (dismissed")
-    decide(row, "Put in force", key, "it lay on the other one")
+    decide(page, row, "Put in force", "it lay on the other one")
     expect(row.locator(".state")).to_have_text("found, not yet refitted")
     expect(row).to_contain_text("it lay on the other one")
+    context.close()

@@ -1,51 +1,36 @@
-"""Figures of the demo's page: C against what was planted, and C over time with its step."""
+"""Charts of the demo's page: C against what was planted, and C over time with its step."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
-from lbacal.pages.report import DIPOLE_COLOURS, GREY
+from lbacal.pages.chart import BAND, INK, LINE, MARK, OF_DIPOLE, POINTS, RED, WIDE, Chart, Series
+from lbacal.pages.curves import FREQUENCY, PERCENT, draw_curves, published_curve, values_of
 from lbacal_core.curves.curves import CalibrationCurve
-from lbacal_core.data.tables import read_table
 from lbacal_core.grids import Floats
 
 
-def draw_calibration(
-    stations: Sequence[CalibrationCurve], paths: Sequence[CalibrationCurve], truth: dict[str, Floats]
-) -> Figure:
-    """C(nu) of a station's two dipoles with the spread of its paths, beside the published curve and the planted one."""
-    figure = Figure(figsize=(9.5, 6.2), layout="constrained")
-    axes: Any = figure.subplots(2, 2, sharex=True, sharey="row", height_ratios=[2, 1])
-    published = read_table("published_calibration")
-    for column, station in enumerate(stations):
-        if station.c is None or station.c_sigma_stat is None or station.dipole is None:
-            continue
-        top, below, colour = axes[0, column], axes[1, column], DIPOLE_COLOURS[station.dipole]
-        frequency, planted = station.frequency_mhz, truth[station.dipole]
-        of_paths = np.array([p.c for p in paths if p.c is not None and p.dipole == station.dipole])
-        spread = np.nanpercentile(of_paths, [16, 84], axis=0)
-        top.fill_between(frequency, *(1e6 * spread), color=GREY, alpha=0.25, lw=0, label="68 % of its paths")
-        top.plot(frequency, 1e6 * station.c, color=colour, lw=1.5, label=f"{station.name}, fitted")
-        top.plot(frequency, 1e6 * planted, ":", color="black", lw=1.5, label="planted in the simulation")
-        top.plot(published["mhz"], 1e6 * published["c"], color=GREY, lw=1.0, label="published (Mulrey et al. 2019)")
-        error = station.c_sigma_stat / planted
-        ratio = station.c / planted - 1.0
-        below.fill_between(frequency, 100 * (ratio - error), 100 * (ratio + error), color=colour, alpha=0.25, lw=0)
-        below.plot(frequency, 100 * ratio, color=colour, lw=1.3, label="fitted / planted - 1, 1 standard deviation")
-        below.axhline(0.0, color="black", lw=0.8)
-        for panel in (top, below):
-            panel.legend(fontsize=8, frameon=False)
-        below.set_xlabel("frequency (MHz)")
-    axes[0, 0].set_ylabel("C (µV per ADC unit)")
-    axes[1, 0].set_ylabel("error of the fit (%)")
-    return figure
+def draw_calibration(stations: Sequence[CalibrationCurve], truth: Mapping[str, Floats]) -> list[Chart]:
+    """C(nu) of a station's two dipoles beside the published curve and the planted one, and how far it is off that."""
+    charts = []
+    for curve in (one for one in stations if one.c is not None):
+        planted = truth[str(curve.dipole)]
+        beside = {"planted in the simulation": (curve.frequency_mhz, planted), **published_curve()}
+        charts.append(draw_curves(f"C of {curve.name}, fitted", [curve], beside))
+        c, stat, _ = values_of(curve)
+        ratio, error, colour = PERCENT * (c / planted - 1.0), PERCENT * stat / planted, OF_DIPOLE[str(curve.dipole)]
+        band = Series(BAND, curve.frequency_mhz, low=ratio - error, high=ratio + error, colour=colour)
+        line = Series(
+            LINE, curve.frequency_mhz, ratio, name="fitted / planted - 1, 1 standard deviation", colour=colour
+        )
+        charts.append(Chart(f"error of the fit of {curve.name}", FREQUENCY, "error of the fit (%)", [band, line]))
+    return charts
 
 
-def draw_drift(station: dict[str, Any], path: dict[str, Any]) -> Figure:
+def draw_drift(station: Mapping[str, Any], path: Mapping[str, Any]) -> Chart:
     """C of every month against the first year: a station's paths as a band, and one path with its step.
 
     Parameters
@@ -53,29 +38,25 @@ def draw_drift(station: dict[str, Any], path: dict[str, Any]) -> Figure:
     station, path
         Answers of ``GET /v1/drift``.
     """
-    figure = Figure(figsize=(9.5, 4.2), layout="constrained")
-    axes: Any = figure.subplots()
 
-    def month(points: list[dict[str, Any]]) -> Any:
-        return np.array([point["month"] for point in points], dtype="datetime64[M]") + np.timedelta64(14, "D")
+    def at(points: Sequence[Mapping[str, Any]]) -> Floats:
+        months = np.array([point["month"] for point in points], dtype="datetime64[M]") + np.timedelta64(14, "D")
+        return months.astype("datetime64[s]").astype(float)
 
-    def values(points: list[dict[str, Any]], name: str) -> Floats:
+    def values(points: Sequence[Mapping[str, Any]], name: str) -> Floats:
         return np.array([point[name] for point in points])
 
-    band, one = station["months"], path["months"]
-    label = f"{station['station']}, {band[0]['paths']} paths: "
-    low, high = values(band, "low"), values(band, "high")
-    axes.fill_between(month(band), low, high, color=GREY, alpha=0.25, lw=0, label=label + "middle 68 %")
-    axes.plot(month(band), values(band, "c_ratio"), color=GREY, label=label + "median")
-    c_ratio = values(one, "c_ratio")
-    name = f"antenna {path['antenna']} {path['dipole']}"
-    error = values(one, "high") - c_ratio
-    axes.errorbar(month(one), c_ratio, error, fmt="o", ms=4, lw=1, color=DIPOLE_COLOURS[path["dipole"]], label=name)
+    band, one, whose = station["months"], path["months"], f"antenna {path['antenna']} {path['dipole']}"
+    of_paths = f"{station['station']}, {band[0]['paths']} paths: "
+    low, high, c = values(band, "low"), values(band, "high"), values(one, "c_ratio")
+    error = values(one, "high") - c
+    series = [
+        Series(BAND, at(band), low=low, high=high, name=f"{of_paths}middle 68 %"),
+        Series(LINE, at(band), values(band, "c_ratio"), name=f"{of_paths}median", colour=INK),
+        Series(POINTS, at(one), c, c - error, c + error, whose, OF_DIPOLE[path["dipole"]]),
+    ]
     for step in path["steps"][:1]:
-        when = np.datetime64(step["date"])
-        text = f"step of {name}: {100 * step['size']:+.1f} ± {100 * step['sigma']:.1f} %, {step['date']}"
-        axes.axvline(when, color="black", lw=0.9, ls="--", label=text)
-    axes.set(xlabel="month (UTC)", ylabel="C / C of the first year")
-    axes.grid(alpha=0.3)
-    axes.legend(fontsize=9)
-    return figure
+        size = f"step of {whose}: {100 * step['size']:+.1f} ± {100 * step['sigma']:.1f} %, {step['date']}"
+        date = float(np.datetime64(step["date"], "s").astype(int))
+        series.append(Series(MARK, [date], name=size, colour=RED, style=1, titles=[size]))
+    return Chart("C over time", "month (UTC)", "C / C of the first year", series, ("time", "linear"), width=WIDE)

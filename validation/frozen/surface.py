@@ -67,7 +67,21 @@ def _of_data(spectra: Spectra) -> dict[str, Any]:
 
 
 def _without_provenance(report: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in report.items() if key != "provenance"}
+    stations = [{key: value for key, value in one.items() if key not in OF_DATA} for one in report.get("stations", ())]
+    whole = {**report, "stations": stations} if stations else report
+    numbers: dict[str, Any] = _without_pictures({key: value for key, value in whole.items() if key != "provenance"})
+    return numbers
+
+
+OF_DATA = ("paths", "events", "dates")
+"""Fields of a station that say what its data are."""
+
+
+def _without_pictures(value: Any) -> Any:
+    """The same without what is drawn of it."""
+    if isinstance(value, Mapping):
+        return {key: _without_pictures(one) for key, one in value.items() if key != "picture"}
+    return [_without_pictures(one) for one in value] if isinstance(value, list) else value
 
 
 def _of_scan(station: StationReport) -> dict[str, Any]:

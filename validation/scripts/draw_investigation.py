@@ -9,14 +9,14 @@ measured LOFAR curve needs the folder ../shared beside the project.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from lbacal.pages.curve import draw_change, draw_curve, draw_ranking
-from lbacal.pages.investigation import draw_residual_maps, draw_structure, draw_value
-from lbacal_core.causes.axes import axis_named
+from lbacal.pages.finding import draw_finding, draw_station
+from lbacal.pages.investigation import plot_charts, plot_finding
 from lbacal_core.discovery.report import investigate
-from lbacal_core.discovery.search import StationReport
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.fault import Fault, Where
@@ -33,12 +33,12 @@ SETTINGS = TwinSettings(stations=("CS002",), antennas=12, events_per_year=400)
 STEP = GainStep(size=0.05, where=Where(antennas=(2,), dipoles=("Y",)), date="2014-08-07")
 
 
-def ask(faults: list[Fault]) -> StationReport:
+def ask(faults: list[Fault]) -> dict[str, Any]:
     instrument, sky = superterp(), power_of()
     spectra = simulate_campaign(SETTINGS, instrument, sky, np.random.default_rng(5), faults).spectra
-    content, (report,) = investigate(spectra, Simulation(instrument, sky, is_own_sky=True))
+    content, _ = investigate(spectra, Simulation(instrument, sky, is_own_sky=True))
     print(content["verdict"], [finding["sentence"] for finding in content["findings"]])
-    return report
+    return content
 
 
 def draw_measured() -> None:
@@ -57,11 +57,11 @@ def main() -> None:
     if SHARED.is_dir():
         draw_measured()
     spoiled = ask([IonosphericAbsorption(size=0.02), STEP])
-    figures = {one.hypothesis.cause.identifier: draw_value(spoiled, one) for one in spoiled.findings}
-    figures["maps"] = draw_residual_maps(spoiled, spoiled.findings[0].hypothesis.target, [axis_named("date")])
-    odd = ask([WorkingWeek(size=0.05)])
-    if odd.structure is not None:
-        figures["unexplained"] = draw_structure(odd, odd.structure)
+    figures = {one["cause"]: plot_finding(one) for one in spoiled["findings"]}
+    maps = draw_finding(spoiled["findings"][0])
+    figures["maps"] = plot_charts([maps["before 0"], maps["after 0"]])
+    odd = draw_station(ask([WorkingWeek(size=0.05)])["stations"][0])
+    figures["unexplained"] = plot_charts([chart for name, chart in odd.items() if name in ("structure", "spectrum")])
     for name, figure in figures.items():
         figure.savefig(IMAGES / f"investigation-{name}.png", dpi=100)
 

@@ -282,7 +282,7 @@ def test_five_questions_about_all_paths_at_once_kept_the_server_busy_for_everybo
 
 
 @pytest.mark.parametrize(
-    ("address", "told"), [("/?at=2014", "no parameter, found at"), ("/v1/tags?x=1", "only cursor")]
+    ("address", "told"), [("/v1/status?at=2014", "no parameter, found at"), ("/v1/tags?x=1", "only cursor")]
 )
 def test_a_route_without_parameters_expected_only_no_parameter(client: TestClient, address: str, told: str) -> None:
     answer = client.get(address)

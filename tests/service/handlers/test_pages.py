@@ -1,9 +1,12 @@
 from __future__ import annotations
 
+import csv
+import io
 import re
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
@@ -16,7 +19,7 @@ from service.storage.changes import DRIFT, Change, Evidence
 from service.storage.versions import Version
 from tests.service.conftest import like
 
-PAGES = ("/", "/jobs", "/drift", "/alarms", "/models", "/stations/CS001")
+PAGES = ("/", "/jobs", "/drift", "/alarms", "/models", "/stations/CS001", "/paths/CS001/0/X")
 
 
 @pytest.mark.parametrize("path", PAGES)
@@ -25,29 +28,76 @@ def test_a_page_of_an_empty_service_is_whole(client: TestClient, path: str) -> N
     assert (answer.status_code, answer.headers["content-type"]) == (200, "text/html; charset=utf-8")
     assert answer.text.rstrip().endswith("</html>")
     assert "two small stations" in answer.text
-    assert not re.findall(r'(?:src|href)="(?!/)', answer.text), "a page loads nothing from elsewhere"
+    assert not re.findall(r'(?:src|href)="(?![/?#])', answer.text), "a page loads nothing from elsewhere"
     policy = answer.headers["content-security-policy"]
     assert "default-src 'none'" in policy
     assert "script-src 'self';" in policy
+    assert "unsafe-inline" not in policy
+    assert not re.search(r"<style|<script>|style=| on[a-z]+=", answer.text), "the policy forbids them"
 
 
-def test_a_version_has_a_page_and_a_month_leads_to_it(
-    factory: Factory, client: TestClient, stored: dict[str, Version]
-) -> None:
-    version, month = stored["path"], "/stations/CS001/0/X/2014-06"
-    assert client.get(month).status_code == 404
+@pytest.fixture
+def promoted(factory: Factory, stored: dict[str, Version]) -> Version:
+    version = stored["path"]
     with factory.database.write() as stores:
         since, until = (parse_instant("", f"{year}-01-01") for year in (2014, 2015))
         promotion = Promotion(0, version.scope, since, until, version.id, 0, "somebody", "it is <good>")
         stores.ledger.append([promotion], factory.clock)
-    led = client.get(month, follow_redirects=False)
-    assert (led.status_code, led.headers["location"]) == (303, f"/calibrations/{version.id}")
+    return version
+
+
+def test_station_antenna_and_date_lead_to_c_on_that_date(client: TestClient, promoted: Version) -> None:
+    asked = {"station": "CS001", "antenna": "0", "dipole": "X", "at": "2014-06-01", "since": "2014-02-01"}
+    led = client.get("/paths", params=asked, follow_redirects=False)
+    assert led.status_code == 303
+    assert led.headers["location"] == "/paths/CS001/0/X?since=2014-02-01&at=2014-06-01"
     page = client.get(led.headers["location"]).text
+    assert f'href="/calibrations/{promoted.id}?since=2014-02-01"' in page
     assert "it is &lt;good&gt;" in page
-    assert "CS001 antenna 0 X" in page
-    assert client.get("/stations/CS001/0/X/2015-06").status_code == 404
-    assert client.get("/stations/CS001/0/X/May").status_code == 422
-    assert client.get("/stations/CS001/77/X/2014-05").status_code in (404, 422)
+    assert "no calibration is in effect" in client.get("/paths/CS001/0/X?at=2015-06-01").text
+    assert client.get("/paths/CS001/0/X?at=May").status_code == 422
+    assert client.get("/paths/CS001/77/X").status_code == 422
+    version = client.get(f"/calibrations/{promoted.id}").text
+    assert "CS001 antenna 0 X" in version
+    assert "it is &lt;good&gt;" in version
+
+
+def test_numbers_drawn_are_those_of_the_api(client: TestClient, promoted: Version) -> None:
+    """C was drawn with its statistical error alone, a tenth of what is told."""
+    rows = list(csv.DictReader(io.StringIO(client.get(f"/calibrations/{promoted.id}?csv=curve").text)))
+    asked = {"station": "CS001", "antenna": 0, "dipole": "X", "at": "2014-06-01"}
+    for (told,) in (
+        client.get(f"/v1/calibrations/{promoted.id}").json()["curves"],
+        client.get("/v1/calibrations/effective", params=asked).json()["curves"],
+    ):
+        c, stat = (1e6 * np.array(told[name], dtype=float) for name in ("c", "c_sigma_stat"))
+        total = np.hypot(stat, np.nan_to_num(1e6 * np.array(told["c_sigma_sys"], dtype=float)))
+        shown = [row for row in rows if row["series"] == "CS001 antenna 0 X"]
+        bands = [row for row in rows if row["low"]]
+        values = [float(row["C (µV per ADC unit)"]) for row in shown]
+        np.testing.assert_allclose([float(row["frequency (MHz)"]) for row in shown], told["frequency_mhz"])
+        np.testing.assert_allclose(values, c, rtol=1e-5)
+        np.testing.assert_allclose([float(row["high"]) for row in bands], [*(c + total), *(c + stat)], rtol=1e-5)
+
+
+@pytest.mark.parametrize("path", [*PAGES, "/stations/CS001"])
+def test_every_page_obeys_a_range_and_hands_it_on(client: TestClient, path: str) -> None:
+    page = client.get(path, params={"since": "2014-02-01", "until": "2014-07-01"}).text
+    assert 'name="since" value="2014-02-01"' in page
+    links = re.findall(r'<a href="(/[a-z]*)[?"]', page)
+    kept = re.findall(r'<a href="(/[a-z]*)\?since=2014-02-01&amp;until=2014-07-01"', page)
+    assert set(links) - {"/docs"} == set(kept)
+    assert client.get(path, params={"since": "2014-02-01", "until": "2014-01-01"}).status_code == 422
+    assert client.get(path, params={"since": "yesterday"}).status_code == 422
+    assert client.get(path, params={"sinse": "2014-02-01"}).status_code == 422
+
+
+def test_an_unknown_figure_is_refused_with_those_that_there_are(client: TestClient) -> None:
+    answered = client.get("/?csv=x")
+    assert answered.status_code == 422
+    assert "coverage, waiting" in answered.text
+    shown = client.get("/?csv=coverage")
+    assert shown.headers["content-type"] == "text/csv; charset=utf-8"
 
 
 BROWSER = {"Accept": "text/html,application/xhtml+xml,*/*;q=0.8"}
@@ -62,7 +112,8 @@ def closed(factory: Factory) -> Iterator[Factory]:
 
 def browse(factory: Factory, **more: Any) -> TestClient:
     app = make_app(factory)
-    return TestClient(app, raise_server_exceptions=False, headers=BROWSER, follow_redirects=False, **more)
+    given = {"base_url": "http://127.0.0.1", **more}
+    return TestClient(app, raise_server_exceptions=False, headers=BROWSER, follow_redirects=False, **given)
 
 
 @pytest.fixture
@@ -83,7 +134,7 @@ def word_of(page: str) -> str:
 
 
 def log_in(browser: TestClient, key: str, address: str = "/jobs") -> Any:
-    word = word_of(browser.get("/jobs").text)
+    word = word_of(browser.get("/log-in").text)
     return browser.post("/log-in", data={"word": word, "key": key, "address": address})
 
 
@@ -96,9 +147,12 @@ def test_a_page_asks_for_a_key_and_shows_itself_to_whoever_has_one(browser: Test
     assert REFUSED not in asked.text
     answered = log_in(browser, key)
     assert (answered.status_code, answered.headers["location"]) == (303, "/jobs")
-    for part in ("HttpOnly", "SameSite=lax", "Path=/", "Max-Age=43200"):
-        assert part in answered.headers["set-cookie"]
-    assert "Secure" not in answered.headers["set-cookie"], "this one came without TLS"
+    cookie = answered.headers["set-cookie"]
+    for part in ("HttpOnly", "SameSite=strict", "Path=/"):
+        assert part in cookie
+    assert key not in cookie, "the session does not hold the key"
+    assert "Max-Age" not in cookie, "it ends with the browser"
+    assert "Secure" not in cookie, "this one came from the machine itself"
     shown = browser.get("/jobs")
     assert shown.status_code == 200
     assert key not in shown.text
@@ -106,13 +160,37 @@ def test_a_page_asks_for_a_key_and_shows_itself_to_whoever_has_one(browser: Test
     closed.keys.revoke(number)
     gone = browser.get("/jobs")
     assert gone.status_code == 401
-    assert REFUSED in gone.text
+    assert "log in again" in gone.text
 
 
-def test_a_log_in_over_tls_is_kept_from_other_connections(closed: Factory) -> None:
+@pytest.mark.parametrize("base_url", ["https://here", "https://127.0.0.1", "http://here"])
+def test_a_session_travels_over_tls_alone_but_on_the_machine_itself(closed: Factory, base_url: str) -> None:
     _, key = closed.keys.create(("read",))
-    with browse(closed, base_url="https://here") as browser:
-        assert "Secure" in log_in(browser, key).headers["set-cookie"]
+    with browse(closed, base_url=base_url) as browser:
+        answered = log_in(browser, key)
+        if base_url.startswith("https"):
+            assert "Secure" in answered.headers["set-cookie"]
+        else:
+            assert answered.status_code == 403, "a browser does not send the cookie of the form back either"
+
+
+def test_a_session_ends_with_its_key_with_a_log_out_and_after_half_a_day(
+    browser: TestClient, closed: Factory, clock: Any
+) -> None:
+    number, key = closed.keys.create(("read",))
+    log_in(browser, key)
+    stolen = browser.cookies["lbacal_session"]
+    assert browser.get("/jobs").status_code == 200
+    assert browser.post("/log-out", data={"word": browser.cookies["lbacal_form"]}).status_code == 303
+    browser.cookies.set("lbacal_session", stolen, domain="127.0.0.1")
+    assert browser.get("/jobs").status_code == 401, "a session that was logged out answers nobody"
+    log_in(browser, key)
+    clock.now += DAY_US // 2
+    assert browser.get("/jobs").status_code == 401
+    log_in(browser, key)
+    assert browser.get("/jobs").status_code == 200
+    closed.keys.revoke(number)
+    assert browser.get("/jobs").status_code == 401
 
 
 @pytest.mark.parametrize("key", ["", "wrong", "lbacal_é", "x\r\nSet-Cookie: a=b"])
@@ -120,12 +198,12 @@ def test_a_wrong_key_is_told_so_on_the_page(browser: TestClient, key: str) -> No
     refused = log_in(browser, key)
     assert refused.status_code == 401
     assert REFUSED in refused.text
-    assert "lbacal_key" not in refused.headers.get("set-cookie", "")
+    assert "lbacal_session" not in refused.headers.get("set-cookie", "")
 
 
 def test_a_form_that_another_site_sends_is_refused(browser: TestClient, closed: Factory) -> None:
     _, key = closed.keys.create(("read",))
-    other = TestClient(browser.app, headers=BROWSER, follow_redirects=False)
+    other = browse(closed)
     stolen = word_of(other.get("/").text)
     browser.get("/")
     for data in ({"key": key}, {"key": key, "word": ""}, {"key": key, "word": stolen}, {"key": key, "word": "é"}):
@@ -137,7 +215,9 @@ def test_a_form_that_another_site_sends_is_refused(browser: TestClient, closed: 
     assert browser.get("/").status_code == 401
 
 
-def test_the_kept_key_of_an_admin_opens_reads_and_changes_nothing(browser: TestClient, closed: Factory) -> None:
+def test_the_session_of_an_admin_opens_reads_of_the_interface_and_changes_nothing(
+    browser: TestClient, closed: Factory
+) -> None:
     _, key = closed.keys.create(("admin",))
     assert log_in(browser, key).status_code == 303
     assert browser.get("/v1/events").status_code == 200
@@ -190,68 +270,154 @@ def change(factory: Factory) -> int:
         return stores.changes.note(found, Evidence(DRIFT, "", 9.0, DATE)).number
 
 
-def send(visitor: TestClient, address: str, key: str, **fields: str) -> Any:
-    return visitor.post(address, data={"reason": "snow lay on it", "key": key, **fields})
+def act(visitor: TestClient, name: str, **fields: str) -> Any:
+    """Send a form of a page as its browser does."""
+    word = visitor.cookies.get("lbacal_form", domain="127.0.0.1.local") or visitor.cookies.get("lbacal_form")
+    return visitor.post(f"/acts/{name}", data={"word": word, "reason": "snow lay on it", **fields})
+
+
+def admit(visitor: TestClient, factory: Factory, *scopes: str) -> int:
+    number, key = factory.keys.create(scopes)
+    assert log_in(visitor, key).status_code == 303
+    return number
 
 
 def test_an_admin_dismisses_a_change_on_the_page_and_takes_that_back(
     visitor: TestClient, factory: Factory, change: int
 ) -> None:
-    number, key = factory.keys.create(("calibrations:promote",))
     page = visitor.get("/drift").text
     assert "2014-06-01 &plusmn; 2.0 d" in page
-    assert f'action="/changes/{change}/dismissed"' in page
-    dismissed = send(visitor, f"/changes/{change}/dismissed", key)
+    assert "/acts/" not in page, "who is not logged in decides nothing"
+    number = admit(visitor, factory, "calibrations:promote")
+    assert 'name="decision" value="dismissed"' in visitor.get("/drift").text
+    wanted = {"target": str(change), "decision": "dismissed"}
+    looked = act(visitor, "decide", **wanted)
+    assert looked.status_code == 200
+    assert f"Change {change} of CS001 antenna 1 on 2014-06-01 is dismissed" in looked.text
+    assert 'name="sure" value="yes"' in looked.text
+    assert factory.changes.list_all()[0].said is None, "looking decides nothing"
+    dismissed = act(visitor, "decide", **wanted, sure="yes")
     assert (dismissed.status_code, dismissed.headers["location"]) == (303, "/drift#changes")
     (kept,) = factory.changes.list_all()
     assert (kept.stands, kept.said is not None and kept.said.reason) == (False, "snow lay on it")
     page = visitor.get("/drift").text
     assert "snow lay on it" in page
-    assert f'action="/changes/{change}/in_force"' in page
-    assert f'action="/changes/{change}/dismissed"' not in page
-    assert send(visitor, f"/changes/{change}/dismissed", key).status_code == 409
-    assert send(visitor, f"/changes/{change}/in_force", key).status_code == 303
+    assert 'name="decision" value="in_force"' in page
+    assert 'name="decision" value="dismissed"' not in page
+    assert act(visitor, "decide", **wanted).status_code == 409
+    assert act(visitor, "decide", target=str(change), decision="in_force", sure="yes").status_code == 303
     assert factory.changes.list_all()[0].stands
     factory.keys.revoke(number)
-    assert send(visitor, f"/changes/{change}/dismissed", key).status_code == 403
+    assert act(visitor, "decide", **wanted).status_code == 401
 
 
-@pytest.mark.parametrize("address", ["/changes/{}/dismissed", "/changes/{}/in_force"])
-def test_nothing_changes_without_a_key_that_may(
-    visitor: TestClient, factory: Factory, change: int, address: str
+def test_nothing_changes_without_a_session_that_may_and_a_form_of_ours(
+    visitor: TestClient, factory: Factory, change: int
 ) -> None:
-    _, reads = factory.keys.create(("read", "refits:run"))
+    wanted = {"target": str(change), "decision": "dismissed", "sure": "yes"}
+    visitor.get("/log-in")
+    assert act(visitor, "decide", **wanted).status_code == 401, "nobody is logged in"
+    admit(visitor, factory, "read", "refits:run")
+    assert act(visitor, "decide", **wanted).status_code == 403
     _, good = factory.keys.create(("admin",))
-    visitor.cookies.set("lbacal_key", good)
-    where = address.format(change)
-    refused = send(visitor, where, "wrong")
-    assert (refused.status_code, "the key is unknown, expired or revoked" in refused.text) == (403, True)
-    assert "<h1>Forbidden</h1>" in refused.text, "a page, and not a log-in that leads nowhere"
-    assert [send(visitor, where, key).status_code for key in ("", reads)] == [403, 403]
-    assert visitor.post(where, data={"reason": "x"}).status_code == 403, "the kept key opens reads only"
-    assert visitor.post(where, json={"reason": "x", "key": good}).status_code == 415
-    assert send(visitor, where, good, reason=" ").status_code == 422
-    assert send(visitor, where, good, more="x").status_code == 422
-    assert visitor.get(where).status_code == 405
+    assert log_in(visitor, good).status_code == 303
+    for word in ("", "stolen"):
+        assert act(visitor, "decide", **{**wanted, "word": word}).status_code == 403
+    assert visitor.post("/acts/decide", json=wanted).status_code == 415
+    assert act(visitor, "decide", **{**wanted, "reason": " "}).status_code == 422
+    assert act(visitor, "decide", **wanted, more="x").status_code == 422
+    assert act(visitor, "decide", **{**wanted, "target": "x"}).status_code == 422
+    assert act(visitor, "nothing", **wanted).status_code == 404
+    assert visitor.get("/acts/decide").status_code == 405
     assert factory.changes.list_all()[0].said is None
 
 
 def test_a_problem_is_said_to_be_known_until_a_date(visitor: TestClient, factory: Factory, clock: Any) -> None:
-    _, key = factory.keys.create(("refits:run",))
+    admit(visitor, factory, "refits:run")
     with factory.database.write() as stores:
         number = stores.alarms.raise_alarm(News(MISFIT, Scope("CS001"), "", "it misfits"), clock.now)
-    address = f"/alarms/{number}/acknowledgement"
-    assert f'action="{address}"' in visitor.get("/alarms").text
+    wanted = {"target": str(number), "sure": "yes"}
+    assert f'name="target" value="{number}"' in visitor.get("/alarms").text
     until = format_instant(clock.now + 40 * DAY_US)[:10]
-    assert send(visitor, address, key, until="2001-01-01").status_code == 422
-    assert send(visitor, address, key, until=until).headers["location"] == "/alarms"
+    assert act(visitor, "acknowledge", **wanted, until="2001-01-01").status_code == 422
+    assert act(visitor, "acknowledge", **wanted, until=until).headers["location"] == "/alarms"
     page = visitor.get("/alarms").text
     assert f"until {until}: snow lay on it" in page
     clock.now += 41 * DAY_US
     assert [one.number for one in lasting(factory)] == [number], "it is told again"
-    assert send(visitor, address, key, until="").status_code == 303, "without a date it is for good"
+    admit(visitor, factory, "refits:run")
+    assert act(visitor, "acknowledge", **wanted, until="").status_code == 303, "without a date it is for good"
     assert lasting(factory) == []
 
 
 def lasting(factory: Factory) -> Any:
     return factory.alarms.newest(AlarmsAsked((OPEN,), 10))
+
+
+def test_a_version_is_put_in_effect_and_rolled_back_each_after_a_look(
+    visitor: TestClient, factory: Factory, stored: dict[str, Version]
+) -> None:
+    version = stored["path"]
+    admit(visitor, factory, "calibrations:promote")
+    assert f'name="calibration" value="{version.id}"' in visitor.get(f"/calibrations/{version.id}").text
+    wanted = {"target": version.id, "calibration": version.id, "valid_from": "2014-01-01", "valid_to": "2015-01-01"}
+    looked = act(visitor, "promote", **wanted)
+    assert "CS001 antenna 0 X" in looked.text
+    asked = {"station": "CS001", "antenna": 0, "dipole": "X", "at": "2014-06-01"}
+    assert visitor.get("/v1/calibrations/effective", params=asked).status_code == 404
+    assert act(visitor, "promote", **wanted, sure="yes").headers["location"] == f"/calibrations/{version.id}"
+    assert visitor.get("/v1/calibrations/effective", params=asked).json()["curves"][0]["calibration"] == version.id
+    page = visitor.get(f"/calibrations/{version.id}").text
+    (number,) = re.findall(r'action="/acts/roll-back">.*?name="target" value="(\d+)"', page, re.DOTALL)
+    assert "nothing" in act(visitor, "roll-back", target=number).text
+    assert act(visitor, "roll-back", target=number, sure="yes").status_code == 303
+    assert visitor.get("/v1/calibrations/effective", params=asked).status_code == 404
+
+
+@pytest.mark.usefixtures("stored")
+def test_tag_refit_stop_and_try_again_are_forms_too(visitor: TestClient, factory: Factory) -> None:
+    admit(visitor, factory, "admin")
+    assert "The tag paper names what the ledger says now, for good." in act(visitor, "tag", target="paper").text
+    assert act(visitor, "tag", target="paper", sure="yes").status_code == 303
+    assert [tag.name for tag in factory.tags.after("", 10)] == ["paper"]
+    assert act(visitor, "tag", target="no name").status_code == 422
+    window = {"since": "2014-01-01", "until": "2015-01-01", "scope": "antenna", "station": "CS001"}
+    asked = act(visitor, "refit", **window, antenna="1", dipole="X", promote="yes")
+    assert "Scope antenna of CS001 antenna 1 X is fitted over 2014-01-01 to 2015-01-01" in asked.text
+    assert factory.jobs.newest() == []
+    done = act(visitor, "refit", **window, antenna="1", dipole="X", promote="yes", sure="yes")
+    assert done.headers["location"] == "/jobs"
+    (job,) = factory.jobs.newest()
+    assert {name: job.request[name] for name in ("antenna", "promote", "reason")} == {
+        "antenna": 1, "promote": True, "reason": "snow lay on it",
+    }  # fmt: skip
+    assert act(visitor, "cancel", target=str(job.number), sure="yes").status_code == 303
+    assert factory.jobs.get(job.number).state == "cancelled"
+    assert act(visitor, "retry", target=str(job.number), sure="yes").status_code == 303
+    again, _ = factory.jobs.newest()
+    assert again.request == {**job.request, "reason": "snow lay on it"}
+
+
+@pytest.mark.parametrize("back", ["https://evil.example", "//evil.example", "/\\evil.example"])
+def test_a_form_leads_back_to_no_other_site(visitor: TestClient, factory: Factory, change: int, back: str) -> None:
+    admit(visitor, factory, "admin")
+    looked = act(visitor, "decide", target=str(change), decision="dismissed", back=back)
+    assert '<a href="/">Leave everything as it is</a>' in looked.text
+
+
+HOSTILE = "\"><script>alert(1)</script>'{{7*7}}"
+
+
+def test_what_a_user_wrote_is_text_on_every_page(visitor: TestClient, factory: Factory, change: int) -> None:
+    admit(visitor, factory, "admin")
+    decided = act(visitor, "decide", target=str(change), decision="dismissed", reason=HOSTILE)
+    shown = [decided.text]
+    act(visitor, "decide", target=str(change), decision="dismissed", reason=HOSTILE, sure="yes")
+    with factory.database.write() as stores:
+        stores.alarms.raise_alarm(News(MISFIT, Scope("CS001"), "", HOSTILE), factory.clock())
+    addresses = (*PAGES, f"/paths/CS001/0/X?at={HOSTILE}", f"/calibrations/{HOSTILE}", f"/?csv={HOSTILE}")
+    shown += [visitor.get(address).text for address in addresses]
+    assert "alert(1)" in "".join(shown)
+    for page in shown:
+        assert "<script>" not in page
+        assert "49" not in re.findall(r"alert\(1\).{0,60}", page)

@@ -9,7 +9,8 @@ import pytest
 from fastapi.testclient import TestClient
 
 import service.page
-from service.page.render import load_assets, render_page, render_part
+from lbacal.pages.chart import Chart
+from service.page.render import Figure, load_assets, render_page, render_part
 from service.storage.models import Investigation
 
 REPORT: dict[str, Any] = {"verdict": "consistent", "findings": [], "unexplained": None, "unidentifiable": []}
@@ -18,12 +19,14 @@ ADOPTED = {
     "size": {"value": 0.51, "sigma": 0.02, "unit": "h"},
 }  # fmt: skip
 FREQUENCY = {"mhz": [30.0, 55.0, 80.0], "slope": [0.001, 0.004, 0.01], "sigma": [0.02, 0.009, 0.015]}
+EMPTY = Chart("t", "x", "y", [])
 TREND = {"slope": 0.004, "sigma": 0.009, "limit_95": 0.022, "years": 7, "scatter": 0.05, "frequency": FREQUENCY}
 
 
 def test_the_page_of_an_investigation_was_silent_about_adopted_causes() -> None:
     found = Investigation("a" * 64, "CS002", 0, 10**15, {}, REPORT, 1, "test", "test")
-    content = {"here": "/", "instrument": "x", "leave": None, "found": found, "report": REPORT}
+    content = {"here": "/", "instrument": "x", "found": found, "report": REPORT, "kept": {}}
+    content |= {"findings": [], "station": {}}
     with_causes = render_page("investigation.html", adopted=[ADOPTED], **content).decode()
     assert "<h2>Adopted causes</h2>" in with_causes
     assert "0.51 ± 0.02" in with_causes
@@ -37,7 +40,7 @@ def test_the_page_of_an_investigation_was_silent_about_adopted_causes() -> None:
 )
 def test_the_page_of_the_drift_states_the_ageing_of_the_array_with_its_error(slope: float, said: str) -> None:
     trends = [("CS002", TREND), ("array", {**TREND, "slope": slope})]
-    page = render_part("drift_main.html", plot={"series": []}, steps=[], rows=[], trends=trends, threshold=5.0)
+    page = render_part("drift_main.html", figure=Figure(EMPTY, ""), steps=[], rows=[], trends=trends, threshold=5.0)
     assert f"C of the whole array changes by {100 * slope:+.2f} % &plusmn; 0.90 % a year over 7 years" in page
     assert f"({100 * slope:+.2f} % &plusmn; 2.20 % with 95 % confidence)" in page
     assert said in page

@@ -137,11 +137,12 @@ CONFORMANCE = [
 
 
 def test_a_large_answer_is_compressed_for_those_who_accept_that(client: TestClient) -> None:
-    large = next(asset for asset in load_assets().values() if len(asset.content) > GZIP_FROM)
+    large = "/openapi.json"
     small = min(load_assets().values(), key=lambda asset: len(asset.content))
-    packed, plain = client.get(large.url), client.get(large.url, headers={"Accept-Encoding": "identity"})
+    packed, plain = client.get(large), client.get(large, headers={"Accept-Encoding": "identity"})
+    assert len(plain.content) > GZIP_FROM
     assert (packed.headers.get("content-encoding"), plain.headers.get("content-encoding")) == ("gzip", None)
-    assert packed.content == plain.content == large.content
+    assert packed.content == plain.content
     assert 2 * int(packed.headers["content-length"]) < int(plain.headers["content-length"])
     assert "accept-encoding" in plain.headers["vary"].lower()
     assert "content-encoding" not in client.get(small.url).headers

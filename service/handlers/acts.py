@@ -1,0 +1,219 @@
+"""What an admin does on a page: a form leads to what it would change, and from there a second one does it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from fastapi import APIRouter, Request
+from fastapi.responses import HTMLResponse, RedirectResponse, Response
+
+from lbacal.instants import format_instant
+from lbacal_core.errors import BadInputError, name_path
+from service.errors import ConflictError, NotFoundError, UnauthenticatedError
+from service.factory import Factory
+from service.handlers.ledger import TAG_NAME
+from service.handlers.request import FORM_COOKIE, SESSION_COOKIE, InPath, UseCases, require_caller
+from service.handlers.session import Form, read_form
+from service.page.render import render_page
+from service.storage.jobs import Job
+from service.usecases.promotions import Change, Plan
+from service.wire import bodies
+from service.wire.answers import to_json
+
+router = APIRouter(include_in_schema=False, default_response_class=HTMLResponse)
+NUMBERS, SWITCHES = ("antenna", "finding"), ("promote",)
+PROMOTE, RUN = "calibrations:promote", "refits:run"
+ENDS = ("since", "until")
+
+
+@dataclass(frozen=True)
+class Foreseen:
+    """What an act would do: sentences, what changes in C, and the deed itself, which says where to go afterwards."""
+
+    sentences: Sequence[str]
+    do: Callable[[], str]
+    changes: Sequence[Change] = ()
+
+
+@dataclass(frozen=True)
+class Act:
+    """One kind of act: what it is called, who may, what its form holds, and what it would do to `target`."""
+
+    title: str
+    scope: str
+    body: type[bodies.Body]
+    foresee: Callable[[Factory, str, Any, str], Foreseen]
+
+
+@router.post("/acts/{name}")
+def act(request: Request, use: UseCases, name: InPath, form: Form) -> Response:
+    if name not in ACTS:
+        raise NotFoundError(f"no act {name}: there are {', '.join(ACTS)}")
+    fields, wanted = read_form(request, form), ACTS[name]
+    session = request.cookies.get(SESSION_COOKIE)
+    if session is None:
+        raise UnauthenticatedError(f"this needs a key with scope {wanted.scope}")
+    scopes = [wanted.scope, *([PROMOTE] if "promote" in fields else [])]
+    caller = require_caller(request, use, *scopes, session=session)
+    is_sure, target, back = fields.pop("sure", "") == "yes", fields.pop("target", ""), fields.pop("back", "/")
+    body = bodies.parse_body(wanted.body, to_json({field: _read(field, text) for field, text in fields.items()}))
+    found = wanted.foresee(use, target, body, caller.name)
+    if is_sure:
+        return RedirectResponse(found.do(), 303)
+    word, told = request.cookies[FORM_COOKIE], {"here": "", "instrument": use.instrument.name}
+    kept = {**fields, "target": target, "back": back}
+    page = render_page(
+        "act.html", **told, leave=word, title=wanted.title, act=name, found=found, kept=kept, back=_own(back)
+    )
+    return HTMLResponse(page, headers={"Cache-Control": "no-store"})
+
+
+def _read(field: str, text: str) -> Any:
+    if field in NUMBERS and text.isascii() and text.isdigit() and len(text) < 10:
+        return int(text)
+    return True if field in SWITCHES else text
+
+
+def _own(address: str) -> str:
+    return address if address.startswith("/") and not address.startswith(("//", "/\\")) else "/"
+
+
+def _number(target: str) -> int:
+    if not (target.isascii() and target.isdigit() and len(target) < 19):
+        raise BadInputError("target", "a number", repr(target[:60]))
+    return int(target)
+
+
+def _decide(use: Factory, target: str, body: bodies.DecisionBody, by: str) -> Foreseen:
+    number = _number(target)
+    kept, changes = use.changes.foresee(number, body, by)
+    one, verb = kept.change, "is in force" if body.decision == "in_force" else "is dismissed"
+    whose = f"{name_path(one.station)}{' antenna ' + ', '.join(map(str, one.antennas)) if one.antennas else ''}"
+    sentence = f"Change {number} of {whose} on {format_instant(one.date)[:10]} {verb}; the next night refits."
+
+    def do() -> str:
+        use.changes.decide(number, body, by)
+        return "/drift#changes"
+
+    return Foreseen([sentence], do, changes)
+
+
+def _acknowledge(use: Factory, target: str, body: bodies.AcknowledgementBody, by: str) -> Foreseen:
+    number = _number(target)
+
+    def do() -> str:
+        use.alarms.acknowledge(number, body, by)
+        return "/alarms"
+
+    until = f"until {body.until}" if body.until else "for good"
+    return Foreseen([f"Alarm {number} counts as known {until}; nothing else changes."], do)
+
+
+def _promote(use: Factory, _target: str, body: bodies.PromotionBody, by: str) -> Foreseen:
+    return _of_plan(use, use.promotions.plan(body, by), f"/calibrations/{body.calibration}")
+
+
+def _roll_back(use: Factory, target: str, body: bodies.ReasonBody, by: str) -> Foreseen:
+    return _of_plan(use, use.promotions.plan_rollback(_number(target), body, by), "/")
+
+
+def _of_plan(use: Factory, plan: Plan, address: str) -> Foreseen:
+    def do() -> str:
+        use.promotions.promote(plan, lambda *_: None)
+        return address
+
+    promoted = f"{len(plan.wanted)} promotions are written to the ledger; they are undone by rolling back."
+    return Foreseen([promoted, *(f"{name}: left out, {why}" for name, why in plan.left_out.items())], do, plan.changes)
+
+
+def _tag(use: Factory, target: str, body: bodies.TagBody, by: str) -> Foreseen:
+    if TAG_NAME.fullmatch(target) is None:
+        raise BadInputError("target", "letters, digits, dot, dash and underscore", repr(target[:80]))
+
+    def do() -> str:
+        use.tags.put(target, body, by)
+        return "/"
+
+    return Foreseen([f"The tag {target} names what the ledger says {body.as_of or 'now'}, for good."], do)
+
+
+def _adopt(use: Factory, target: str, body: bodies.AdoptionBody, by: str) -> Foreseen:
+    plan = use.models.plan_adoption(target, body, by)
+
+    def do() -> str:
+        use.models.adopt(plan, promote=body.promote)
+        return "/models"
+
+    return Foreseen(
+        [plan.cause.sentence, "Fits of the station have this cause until it is withdrawn."], do, plan.changes
+    )
+
+
+def _withdraw(use: Factory, target: str, body: bodies.ReasonBody, by: str) -> Foreseen:
+    def do() -> str:
+        use.models.withdraw(target, body, by)
+        return "/models"
+
+    back = "What was in effect before its adoption answers again at once, and refits without the cause are enqueued."
+    return Foreseen([back], do)
+
+
+def _refit(use: Factory, _target: str, body: bodies.RefitBody, by: str) -> Foreseen:
+    def do() -> str:
+        use.refits.request(body, by)
+        return "/jobs"
+
+    whose = name_path(body.station, body.antenna, body.dipole)
+    then = "what passes the gate is put in effect" if body.promote else "nothing is put in effect by itself"
+    return Foreseen([f"Scope {body.scope} of {whose} is fitted over {body.since} to {body.until}; {then}."], do)
+
+
+def _investigate(use: Factory, _target: str, body: bodies.InvestigationBody, by: str) -> Foreseen:
+    def do() -> str:
+        use.investigations.request(body, by)
+        return "/jobs"
+
+    return Foreseen([f"{body.station or 'Every station'} is searched over {body.since} to {body.until}."], do)
+
+
+def _cancel(use: Factory, target: str, body: bodies.ReasonBody, by: str) -> Foreseen:
+    job = use.jobs.get(_number(target))
+
+    def do() -> str:
+        use.jobs.cancel(job.number, by, body.reason)
+        return "/jobs"
+
+    return Foreseen([f"Job {job.number} ({job.kind}, {job.state}) stops; what it has stored stays."], do)
+
+
+def _retry(use: Factory, target: str, body: bodies.ReasonBody, by: str) -> Foreseen:
+    job = use.jobs.get(_number(target))
+    if job.kind == "refit":
+        return _refit(use, target, _again(job, bodies.RefitBody, body.reason), by)
+    if job.kind == "investigation":
+        return _investigate(use, target, _again(job, bodies.InvestigationBody, body.reason), by)
+    raise ConflictError(f"job {job.number} is work of the night ({job.kind}), which tries it again by itself")
+
+
+def _again(job: Job, kind: type[bodies.AnyBody], reason: str) -> bodies.AnyBody:
+    """The request of a job once more; the scheduler writes instants as numbers."""
+    known = {name: one for name, one in job.request.items() if name in kind.model_fields}
+    instants = {name: format_instant(one) for name, one in known.items() if name in ENDS and isinstance(one, int)}
+    return bodies.parse_body(kind, to_json({**known, **instants, "reason": reason}))
+
+
+ACTS: Mapping[str, Act] = {
+    "decide": Act("Decide about a change", PROMOTE, bodies.DecisionBody, _decide),
+    "acknowledge": Act("Acknowledge an alarm", RUN, bodies.AcknowledgementBody, _acknowledge),
+    "promote": Act("Put a version in effect", PROMOTE, bodies.PromotionBody, _promote),
+    "roll-back": Act("Roll a promotion back", PROMOTE, bodies.ReasonBody, _roll_back),
+    "tag": Act("Freeze the ledger under a tag", PROMOTE, bodies.TagBody, _tag),
+    "adopt": Act("Adopt a finding into the model", PROMOTE, bodies.AdoptionBody, _adopt),
+    "withdraw": Act("Withdraw an adopted cause", PROMOTE, bodies.ReasonBody, _withdraw),
+    "refit": Act("Ask for new fits", RUN, bodies.RefitBody, _refit),
+    "investigate": Act("Ask what the simulation gets wrong", RUN, bodies.InvestigationBody, _investigate),
+    "cancel": Act("Stop a job", RUN, bodies.ReasonBody, _cancel),
+    "retry": Act("Try a job again", RUN, bodies.ReasonBody, _retry),
+}

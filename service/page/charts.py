@@ -1,0 +1,320 @@
+"""Charts of the service's pages, from values of the use cases. Instants become seconds; every link keeps the span."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lbacal.instants import format_instant, parse_instant
+from lbacal.pages.chart import (
+    BAND,
+    BARS,
+    GREEN,
+    IMAGE,
+    INK,
+    LINE,
+    MARK,
+    OF_DIPOLE,
+    ORANGE,
+    POINTS,
+    PURPLE,
+    RED,
+    SKY,
+    WIDE,
+    Chart,
+    Series,
+)
+from lbacal_core.curves.validity import Instant
+from lbacal_core.errors import name_path
+from service.page.span import Span
+from service.storage.changes import KeptChange
+from service.storage.versions import MeanC
+from service.usecases.drift import DriftSeries, MonthPoint
+from service.usecases.life import Life
+from service.usecases.status import StationState
+
+if TYPE_CHECKING:
+    from lbacal_core.calibration.one_event import OverLst  # half a second to import
+
+US = 1e6
+HALF_A_MONTH = 15 * 86_400
+PERCENT = 100.0
+LANES = ("in effect", "versions", "changes", "causes", "alarms", "investigations")
+ROW, FOR_AXIS = 18, 70
+"""Height of a row of bars, and of the axis below them."""
+MATRIX_ROW, LEFT = 9, 120.0
+COLOURS = (INK, RED, 2, GREEN, PURPLE, ORANGE, SKY)
+
+
+def draw_coverage(stations: Sequence[StationState], span: Span) -> Chart:
+    """How many paths of each station have a calibration, and by what."""
+    rows = [one.name for one in stations]
+    counts = {
+        "told the mean of others": [one.in_effect + one.without_data for one in stations],
+        "by a mean that holds their data": [one.in_effect for one in stations],
+        "by their own version": [one.own for one in stations],
+    }
+    links = [f"/stations/{one.name}{span.query}" for one in stations]
+    series = [
+        Series(
+            BARS, numbers, range(len(rows)), name=name, colour=colour, links=links,
+            titles=[f"{row}: {n} of {one.paths} paths" for row, n, one in zip(rows, numbers, stations, strict=True)],
+        )
+        for (name, numbers), colour in zip(counts.items(), (ORANGE, SKY, GREEN), strict=True)
+    ]  # fmt: skip
+    most = max((one.paths for one in stations), default=1)
+    title, height = "paths with a calibration at the last event", FOR_AXIS + 34 + ROW * len(rows)
+    return Chart(title, "paths", "", series, x_limits=(0.0, float(most)), rows=rows, height=height)
+
+
+def name_members(kept: KeptChange, most: int = 3) -> str:
+    """Whose change it is, in a few words."""
+    one = kept.change
+    antennas = [str(number) for number in one.antennas]
+    more = f" and {len(antennas) - most} more" if len(antennas) > most else ""
+    plural = "s" if len(antennas) > 1 else ""
+    return f"{one.station or 'array'}" + (f" antenna{plural} {', '.join(antennas[:most])}{more}" if antennas else "")
+
+
+def address_of(kept: KeptChange, span: Span) -> str:
+    """Where a change is told in full: the life of its first path, of its station, or the drift."""
+    one = kept.change
+    if one.station is None:
+        return f"/drift{span.query}#changes"
+    if not one.paths:
+        return f"/stations/{one.station}{span.query}"
+    antenna, dipole = one.paths[0]
+    at = format_instant(one.date)[:10]
+    return f"/paths/{one.station}/{antenna}/{dipole or 'X'}{span.with_more(at=at)}"
+
+
+def draw_changes(changes: Sequence[KeptChange], span: Span, ends: Sequence[Instant | None]) -> Chart:
+    """Size and date of the changes that have a size, between the first and the last event unless the span says more."""
+    known = [(one, *sizes) for one in changes if None not in (sizes := (one.change.size, one.change.size_sigma))]
+    series = []
+    for decision, colour in (("in_force", RED), ("proposed", ORANGE), ("dismissed", SKY)):
+        own = [one for one in known if one[0].decision == decision]
+        size = PERCENT * np.array([one[1] for one in own], dtype=float)
+        sigma = PERCENT * np.array([one[2] for one in own], dtype=float)
+        titles = [
+            f"{name_members(one)}, {format_instant(one.change.date)[:10]}: {s:+.1f} ± {e:.1f} %"
+            for (one, *_), s, e in zip(own, size, sigma, strict=True)
+        ]
+        dates, links = [one.change.date / US for one, *_ in own], [address_of(one, span) for one, *_ in own]
+        name = decision.replace("_", " ")
+        series.append(Series(POINTS, dates, size, size - sigma, size + sigma, name, colour, titles=titles, links=links))
+    instants = [*(one.change.date for one in changes), *(at for at in ends if at is not None)]
+    low, high = min(instants, default=0) / US, max(instants, default=0) / US
+    limits = span.limits or (low, high if high > low else low + 1.0)
+    return Chart("changes of C", "date (UTC)", "change of C (%)", series, ("time", "linear"), limits)
+
+
+def draw_counts(counts: dict[str, tuple[int, str]]) -> Chart:
+    """How much of each kind waits; name to number and address."""
+    titles = [f"{number} {name}" for name, (number, _) in counts.items()]
+    numbers = [number for number, _ in counts.values()]
+    bars = Series(BARS, numbers, range(len(counts)), colour=SKY, titles=titles, links=[to for _, to in counts.values()])
+    limits = 0.0, float(max(*numbers, 4))
+    rows = [f"{name}: {number}" for name, (number, _) in counts.items()]
+    return Chart("what waits", "number", "", [bars], x_limits=limits, rows=rows, height=FOR_AXIS + ROW * len(rows))
+
+
+def draw_drift(series: Sequence[DriftSeries], versions: Sequence[Sequence[VersionPoint]], span: Span) -> Chart:
+    """C of every month and of every version over that of the first year; a band is the middle 68 % of the paths."""
+    parts: list[Series] = []
+    for k, (one, own) in enumerate(zip(series, versions, strict=True)):
+        parts += _draw_months(one, COLOURS[(k + 1) % len(COLOURS)], own, span)
+    shown = [part for part in parts if part.kind in (LINE, POINTS)]
+    values = [v for part in shown for v in (*part.y, *(part.low if part.low is not None else ()))]
+    # a path that is deaf may widen a band by a factor: what is shown are medians and versions
+    low, high = min([0.98, *values]), max([1.02, *values])
+    limits = low - 0.08 * (high - low), high + 0.08 * (high - low)
+    label = "C / C of the first year"
+    return Chart(
+        "C over time", "month (UTC)", label, parts, ("time", "linear"), span.limits, limits, width=WIDE, height=380
+    )
+
+
+@dataclass(frozen=True)
+class VersionPoint:
+    """C of a version over that of the first of its polarisation, with its error; its window, and where it is shown."""
+
+    dipole: str
+    since: Instant
+    until: Instant
+    ratio: float
+    sigma: float
+    address: str
+
+
+def points_of(means: Iterable[MeanC], span: Span) -> list[VersionPoint]:
+    """Versions of a scope, each polarisation over its first."""
+    found, first = [], dict[str, float]()
+    for one in sorted(means, key=lambda mean: (mean.since, mean.calibration)):
+        ratio = one.c / first.setdefault(one.dipole, one.c)
+        address = f"/calibrations/{one.calibration}{span.query}"
+        found.append(VersionPoint(one.dipole, one.since, one.until, ratio, ratio * one.c_sigma / one.c, address))
+    return found
+
+
+def _draw_months(
+    one: DriftSeries, colour: int, versions: Sequence[VersionPoint], span: Span, address: str = ""
+) -> Iterator[Series]:
+    name = name_path(*one.scope.parts)
+    months: list[MonthPoint] = [month for month in one.months if span.has(month.month)]
+    at = [month.month / US + HALF_A_MONTH for month in months]
+    low, middle, high = ([getattr(month, part) for month in months] for part in ("low", "c_ratio", "high"))
+    titles = [
+        f"{name} {format_instant(m.month)[:7]}: {m.c_ratio:.4f}, {m.low:.4f} to {m.high:.4f} "
+        f"({m.paths} paths, {m.events} events)"
+        for m in months
+    ]
+    links = [f"{address}{span.with_more(at=format_instant(m.month)[:7] + '-15')}" for m in months] if address else ()
+    yield Series(BAND, at, low=low, high=high, name="", colour=colour)
+    yield Series(LINE, at, middle, name=name, colour=colour)
+    yield Series(POINTS, at, middle, name="", colour=colour, titles=titles, links=links)
+    lines = [(t, month.line[0]) for t, month in zip(at, months, strict=True) if month.line]
+    if lines:
+        at_line, values = [t for t, _ in lines], [value for _, value in lines]
+        yield Series(LINE, at_line, values, name=f"{name}: season and slope", colour=colour, style=1)
+    for version in versions:
+        if not (span.has(version.since) or span.has(version.until)):
+            continue
+        # one beside the other: polarisations share their windows
+        share = 0.48 if version.dipole == "X" else 0.52
+        middle_of = (version.since + share * (version.until - version.since)) / US
+        title = f"{name} {version.dipole}, version of {_days(version.since, version.until)}: {version.ratio:.4f}"
+        title += f" ± {version.sigma:.4f}"
+        ends = [version.ratio - version.sigma], [version.ratio + version.sigma]
+        colour_of = OF_DIPOLE.get(version.dipole, INK)
+        yield Series(
+            POINTS, [middle_of], [version.ratio], *ends, f"version, {version.dipole}", colour_of, titles=[title],
+            links=[version.address],
+        )  # fmt: skip
+
+
+def _days(since: Instant | None, until: Instant | None) -> str:
+    begin, end = (("open" if at is None else format_instant(at)[:10]) for at in (since, until))
+    return f"{begin} to {end}"
+
+
+def draw_path(life: Life, drift: DriftSeries, span: Span, at: Instant | None, address: str) -> Chart:
+    """C over time with its error, the versions, and where what changed: a click on a month asks for C on that date."""
+    parts = list(_draw_months(drift, 2, points_of(drift.versions, span), span, address))
+    marks = [one for one in life.changes if one.ended is None]
+    titles = [
+        f"{name_members(one)} changed on {format_instant(one.change.date)[:10]} ({one.decision})" for one in marks
+    ]
+    links = [address_of(one, span) for one in marks]
+    dates = [one.change.date / US for one in marks]
+    parts.append(Series(MARK, dates, name="change", colour=RED, style=1, titles=titles, links=links))
+    if at is not None:
+        parts.append(Series(MARK, [at / US], name="shown below", colour=GREEN, titles=[format_instant(at)[:10]]))
+    label, limits = "C / C of the first year", _extent(life, drift, span)
+    return Chart(
+        "C over time", "date (UTC)", label, parts, ("time", "linear"), limits, width=WIDE, height=320, left=LEFT
+    )
+
+
+def draw_life(life: Life, drift: DriftSeries, span: Span, now: Instant) -> Chart:
+    """Everything that happened to a scope, a lane a kind; the days are those of `draw_path`."""
+    limits = _extent(life, drift, span)
+    series: list[Series] = []
+
+    def add(lane: str, since: Instant | None, until: Instant | None, title: str, link: str, colour: int) -> None:
+        first, last = (edge if at is None else at / US for at, edge in zip((since, until), limits, strict=True))
+        row = LANES.index(lane)
+        if first < limits[1] and last > limits[0]:
+            ends = [min(max(one, limits[0]), limits[1]) for one in (first, last)]
+            series.append(Series(LINE, ends, [row, row], colour=colour))
+            series.append(Series(POINTS, [ends[0]], [row], colour=colour, titles=[title], links=[link]))
+
+    q = span.query
+    for stretch in life.in_effect:
+        title = f"in effect {_days(stretch.start, stretch.end)}: {str(stretch.calibration)[:12]}"
+        add("in effect", stretch.start, stretch.end, title, f"/calibrations/{stretch.calibration}{q}", GREEN)
+    for version in life.versions:
+        title = f"version {version.id[:12]} of {_days(*version.window)}: {version.status}, {version.events} events"
+        add("versions", *version.window, title, f"/calibrations/{version.id}{q}", SKY)
+    for change in life.changes:
+        one = change.change
+        title = f"change {change.number} of {name_members(change)}: {change.decision}"
+        add("changes", one.date - one.sigma, one.date + one.sigma, title, address_of(change, span), RED)
+    for cause in life.causes:
+        title = f"{cause.change.act}: {cause.changed.sentence}"
+        add("causes", cause.change.since, cause.change.until, title, f"/models{q}", PURPLE)
+    for alarm in life.alarms:
+        add("alarms", alarm.raised, alarm.ended or now, alarm.news.sentence, f"/alarms{q}", ORANGE)
+    for made in life.investigations:
+        title = f"investigation of {_days(made.since, made.until)}: {made.report['verdict']}"
+        add("investigations", made.since, made.until, title, f"/investigations/{made.id}{q}", INK)
+    height = FOR_AXIS + 24 * len(LANES)
+    return Chart("what happened", "date (UTC)", "", series, ("time", "linear"), limits, None, LANES, WIDE, height, LEFT)
+
+
+def _extent(life: Life, drift: DriftSeries, span: Span) -> tuple[float, float]:
+    """The days that are shown: the span, where it is open those of the data."""
+    known = [month.month / US for month in drift.months] + [at / US for one in life.versions for at in one.window]
+    known += [at / US for one in life.investigations for at in (one.since, one.until)]
+    first, last = min(known, default=0.0), max(known, default=1.0)
+    low = first if span.since is None else span.since / US
+    high = last if span.until is None else span.until / US
+    return (low, high) if low < high else (low, low + 1.0)
+
+
+def draw_matrix(station: str, years: Sequence[str], span: Span) -> Chart | None:
+    """Every path of a station beside its median, month by month; a row leads to its path."""
+    tables = [json.loads(year) for year in years]
+    cells = {
+        (antenna, dipole, month): value
+        for table in tables
+        for (antenna, dipole), row in zip(table["paths"], table["values"], strict=True)
+        for month, value in zip(table["months"], row, strict=True)
+        if value is not None and span.has(parse_instant("month", f"{month}-15"))
+    }
+    if not cells:
+        return None
+    paths = sorted({(antenna, dipole) for antenna, dipole, _ in cells})
+    months = _every_month(min(month for *_, month in cells), max(month for *_, month in cells))
+    values = np.array([[cells.get((*path, month), np.nan) for month in months] for path in paths], dtype=float)
+    limit = max(2.0, PERCENT * float(np.nanmax(np.abs(values))))
+    edges = [parse_instant("month", f"{month}-01") / US for month in (months[0], _following(months[-1]))]
+    image = Series(
+        IMAGE, edges, (len(paths) - 0.5, -0.5), name="%", image=PERCENT * values[::-1], limit=limit,
+        links=[f"/paths/{station}/{antenna}/{dipole}{span.query}" for antenna, dipole in paths],
+        titles=[f"antenna {antenna} {dipole}" for antenna, dipole in paths],
+    )  # fmt: skip
+    rows = [f"{antenna} {dipole}" if k % 2 == 0 or len(paths) < 24 else "" for k, (antenna, dipole) in enumerate(paths)]
+    height = FOR_AXIS + max(MATRIX_ROW, 200 // len(paths)) * len(paths)
+    limits = (edges[0], edges[1])
+    return Chart(
+        "change of C of every path", "month (UTC)", "antenna and dipole", [image], ("time", "linear"), limits,
+        (len(paths) - 0.5, -0.5), rows, WIDE, height,
+    )  # fmt: skip
+
+
+def _following(month: str) -> str:
+    year, number = int(month[:4]), int(month[5:])
+    return f"{year + number // 12}-{number % 12 + 1:02d}"
+
+
+def _every_month(first: str, last: str) -> list[str]:
+    found = [first]
+    while found[-1] < last:
+        found.append(_following(found[-1]))
+    return found
+
+
+def draw_over_lst(found: OverLst, name: str) -> Chart:
+    """Band power against sidereal time, as the published figure has it."""
+    low, high = found.measured - np.nan_to_num(found.error), found.measured + np.nan_to_num(found.error)
+    titles = [f"{lst:.2f} h: {value:.3f}" for lst, value in zip(found.lst_hours, found.measured, strict=True)]
+    measured = Series(POINTS, found.lst_hours, found.measured, low, high, "measured", titles=titles)
+    expected = Series(LINE, found.lst_hours, found.expected, name="predicted by the fit", colour=RED)
+    label = "band power / its predicted daily mean"
+    hours = "local sidereal time (h)"
+    return Chart(f"fit of {name} over sidereal time", hours, label, [measured, expected], x_limits=(0.0, 24.0))
