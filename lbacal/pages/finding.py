@@ -60,7 +60,8 @@ def tell_finding(finding: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     change = finding["calibration_change"]
     middle, most = (PERCENT * change[name] for name in ("median_fraction", "max_fraction"))
     words = "against a fit of the window without it"
-    yield "C of its paths changes", f"by {middle:.2f} % in the median, {most:.2f} % at most, {words}"
+    if most:  # by a record that is wrong there may be no C to change
+        yield "C of its paths changes", f"by {middle:.2f} % in the median, {most:.2f} % at most, {words}"
     if finding["cause"] == STEP_OF_GAIN and size["value"] > -1:
         after = (1.0 + size["value"]) ** -0.5 - 1.0
         yield "C behind the date", f"{PERCENT * after:+.2f} % against C before it; one C for the window lies between"

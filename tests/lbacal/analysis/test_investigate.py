@@ -86,7 +86,7 @@ def test_a_fit_with_a_finding_is_that_of_its_report(late: Spectra, found: lbacal
 def test_an_investigation_is_saved_in_every_form(found: lbacal.Investigation, tmp_path: Path) -> None:
     save_all(found, tmp_path)
     assert json.loads((tmp_path / "r.json").read_text())["findings"][0]["left_open"]
-    assert "signature of lst_offset" in (tmp_path / "r.html").read_text()
+    assert "lst_offset along frequency" in (tmp_path / "r.html").read_text()
 
 
 def test_a_budget_has_a_term_for_what_is_left_open(late: Spectra, found: lbacal.Investigation, tmp_path: Path) -> None:
