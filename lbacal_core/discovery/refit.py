@@ -207,8 +207,7 @@ def fit_sizes(
         baseline = fit_baseline(station, ratio)
         if noise is not None:
             baseline = replace(baseline, terms=with_noise(station, baseline.terms, noise))
-        # before noise is estimated from residuals that are not noise but far off
-        if not float(np.std(mean_of_paths(station, baseline.residual))) < LARGEST_CHANGE:
+        if _has_run_away(station, baseline, hypotheses):
             return None
         linear = linearise(station, baseline, modes, empirical, hypotheses)
         if not float(np.std(linear.residuals.mean)) < LARGEST_CHANGE:
@@ -234,6 +233,14 @@ def fit_sizes(
             break
         hypotheses = [replace(one, size=one.size + float(d)) for one, d in zip(fitted, step, strict=True)]
     return FittedModel(fitted, baseline, linear, is_converged, noise), information
+
+
+def _has_run_away(station: Station, baseline: Baseline, hypotheses: Sequence[Hypothesis]) -> bool:
+    """Whether residuals are far from noise, which is not to be estimated from them, or nothing is left of the sky."""
+    terms = act_together(station, baseline.terms, hypotheses)
+    share = terms.sky * terms.front / terms.power()
+    is_near = float(np.std(mean_of_paths(station, baseline.residual))) < LARGEST_CHANGE
+    return not (is_near and bool(np.all(share > 0)))
 
 
 def can_be_told_apart(information: Floats) -> bool:
