@@ -13,6 +13,7 @@ from lbacal.instants import format_instant, parse_instant
 from lbacal.pages.chart import (
     BAND,
     BARS,
+    BLUE,
     GREEN,
     IMAGE,
     INK,
@@ -47,7 +48,7 @@ LANES = ("in effect", "versions", "changes", "causes", "alarms", "investigations
 ROW, FOR_AXIS = 18, 70
 """Height of a row of bars, and of the axis below them."""
 MATRIX_ROW, LEFT = 9, 120.0
-COLOURS = (INK, RED, 2, GREEN, PURPLE, ORANGE, SKY)
+COLOURS = (INK, RED, BLUE, GREEN, PURPLE, ORANGE, SKY)
 
 
 def draw_coverage(stations: Sequence[StationState], span: Span) -> Chart:
@@ -96,7 +97,7 @@ def draw_changes(changes: Sequence[KeptChange], span: Span, ends: Sequence[Insta
     """Size and date of the changes that have a size, between the first and the last event unless the span says more."""
     known = [(one, *sizes) for one in changes if None not in (sizes := (one.change.size, one.change.size_sigma))]
     series = []
-    for decision, colour in (("in_force", RED), ("proposed", ORANGE), ("dismissed", SKY)):
+    for decision, colour in (("in_force", RED), ("proposed", BLUE), ("dismissed", GREEN)):
         own = [one for one in known if one[0].decision == decision]
         size = PERCENT * np.array([one[1] for one in own], dtype=float)
         sigma = PERCENT * np.array([one[2] for one in own], dtype=float)
