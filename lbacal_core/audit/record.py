@@ -147,7 +147,7 @@ def _correct(spectra: Spectra, instrument: Instrument, line: Line) -> tuple[Spec
         return replace(spectra, time_unix=spectra.time_unix + late_s), instrument
     if line.kind == "arms":
         arms = {dipole: azimuth + (line.value or 0.0) for dipole, azimuth in instrument.dipole_azimuth_deg.items()}
-        return spectra, replace(instrument, dipole_azimuth_deg=arms)
+        return replace(spectra, arms_deg={}), replace(instrument, dipole_azimuth_deg=arms)
     here = instrument.at_station(line.station)
     north, east = here.latitude_deg, here.longitude_deg
     place = (-north, east) if line.kind == "latitude sign" else (east, north)

@@ -456,8 +456,10 @@ def _search_put_right(
     right = put_right(spectra, simulation)
     if right is None:
         return None
-    known = right.simulation.differences
-    (station,) = gather_stations(right.spectra, right.simulation)
+    known, stations = right.simulation.differences, gather_stations(right.spectra, right.simulation)
+    if not stations:  # no path that works has events enough
+        return None
+    (station,) = stations
     report = search(station, modes=None if known is None else model_modes(station, known))
     if report.structure is not None:
         return None

@@ -49,7 +49,8 @@ def test_a_clock_that_is_off_is_set_by_its_size(spectra, known):
 @pytest.mark.long
 def test_arms_are_turned_and_a_place_is_moved_back(spectra, known):
     turned = replace(known, dipole_azimuth_deg={name: one + 40.0 for name, one in known.dipole_azimuth_deg.items()})
-    right = put_right(spectra, Simulation(turned))
+    right = put_right(replace(spectra, arms_deg=turned.dipole_azimuth_deg), Simulation(turned))
+    assert right.spectra.arms_deg == {}  # the recorder said so as well
     (error,) = right.errors
     value, sigma = error.size
     assert (error.cause.identifier, value) == ("dipole_azimuth", pytest.approx(-40.0, abs=4 * sigma))
