@@ -38,7 +38,7 @@ _OF_KIND = {
 }
 _BY_NAME: dict[str, Description] = {one.identifier: one for one in (*CAUSES, SITE)}
 EXCHANGED = 1.0
-"""Size of `dipole_swap` where letters are exchanged."""
+"""Size of what is only right or wrong: letters (1 of `dipole_swap` is an exchange) and places."""
 
 
 @dataclass(frozen=True)
@@ -116,9 +116,9 @@ def put_right(spectra: Spectra, simulation: Simulation) -> PutRight | None:
     instrument, corrected = simulation.instrument, working
     for one in errors:
         corrected, instrument = _correct(corrected, instrument, one.line)
-    right = (
-        simulation if instrument is simulation.instrument else replace(simulation, instrument=instrument, given=None)
-    )
+    right = simulation
+    if instrument is not simulation.instrument:
+        right = replace(simulation, instrument=instrument, given=None).smeared(corrected)
     return PutRight(errors, left_out, working, corrected, right)
 
 

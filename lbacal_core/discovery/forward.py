@@ -25,12 +25,12 @@ from lbacal_core.discovery.refit import power_ratio
 from lbacal_core.discovery.station import Station, gather_stations
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.chain import ChainTerms
+from lbacal_core.instrument.sidereal import SIDEREAL_DAY_S
 from lbacal_core.simulation.simulation import Simulation, terms_of
 from lbacal_core.spectra.spectra import Spectra
 
 INSTANTS = 96
 """Instants of a sidereal day from the one asked for on: a compression acts by the power over its mean."""
-SIDEREAL_DAY_S = 86_164.0905
 UNUSED = "no cause of the model follows the temperature: it changes nothing"
 
 
