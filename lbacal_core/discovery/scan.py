@@ -270,6 +270,8 @@ def list_hidden(
         whole, bare, left = (np.array([one[m].max() for one in seen]) for m in range(3))
         if not whole.size or whole.min() <= 0:
             continue
+        # Information is a difference here; nothing left of it may come out below 0.
+        bare, left = (np.maximum(one, np.finfo(float).eps * whole) for one in (bare, left))
         # A wider prior leaves less; where it leaves more, that is rounding.
         if np.all(np.minimum(bare, left) < smallest_share * whole):
             best = int(np.argmax(left / whole))

@@ -327,6 +327,13 @@ class VersionStore(Store):
             statement = statement.where(calibration.c.status == status)
         return self._values(self._connection.execute(statement).all())
 
+    def newest(self, scope: Scope, also: Iterable[str]) -> list[Version]:
+        """Versions of a scope that no newer one of their window replaced, and others by id, by window."""
+        is_shown = or_(~_has_newer(), calibration.c.id.in_(sorted(set(also))))
+        statement = select(calibration).where(calibration.c.scope == scope.key, is_shown)
+        in_order = statement.order_by(calibration.c.since_us, calibration.c.made_us, calibration.c.id)
+        return self._values(self._connection.execute(in_order).all())
+
     def cable_changes(self) -> dict[str, set[float]]:
         """When antennas change cables, unix seconds by station."""
         return read_cable_changes(self._connection)

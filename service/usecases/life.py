@@ -52,14 +52,16 @@ class Lives:
         changes = [one for one in self.changes.list_all(station) if concerns(one, antenna, dipole)]
         alarms = self.alarms.newest(AlarmsAsked(STATES, MOST, station=station))
         with self.database.read() as stores:
-            stretches = timeline(stores.ledger.standing(scope.widening), scope)
-            versions = stores.versions.search(scope, None, "", MOST)
+            stretches = [
+                one for one in timeline(stores.ledger.standing(scope.widening), scope) if one.calibration is not None
+            ]
+            versions = stores.versions.newest(scope, (str(one.calibration) for one in stretches))
             made = [] if station is None else stores.investigations.newest(before=None, station=station, limit=MOST)
         return Life(
             scope,
             split_epochs(scope, changes),
-            [one for one in stretches if one.calibration is not None],
-            sorted(versions, key=lambda one: (one.since, one.made)),
+            stretches,
+            versions,
             sorted(changes, key=lambda one: one.change.date),
             [one for one in self.models.history() if one.change.station == station][::-1],
             [one for one in alarms if one.news.scope in scope.widening or scope in one.news.scope.widening][::-1],
