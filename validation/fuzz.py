@@ -324,7 +324,7 @@ def _server(database: str = "sqlite") -> Iterator[tuple[str, list[Key], Process]
         open_databases(database, "fuzz") as (url,),
         run_service(url, Path(folder), log_level="error", max_rate="1e9") as service,
     ):
-        keys = [{"Authorization": f"Bearer {key}"} for key in (service.key, make_key(service.environment, "read"))]
+        keys = [{"Authorization": f"Bearer {key}"} for key in (service.key, make_key(url, "read"))]
         yield service.address, keys, service.processes[0]
 
 

@@ -106,7 +106,7 @@ def serve_years(spectra: Spectra, server: Server, tell: Callable[[str], None]) -
     url = server.url
     with Client(url) as client:
         server.wait(lambda: _answers(client))
-    key = make_key(server.environment, "spectra:write")
+    key = make_key(server.environment["LBACAL_DATABASE_URL"], "spectra:write")
     with Client(url, key) as client:
         total = client.ingest(spectra)
         tell(f"lbacal serve: {url}; lbacal ingest: {total['stored']} spectra of two years stored")

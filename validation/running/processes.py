@@ -21,6 +21,7 @@ import numpy as np
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.sky.power import compute_sky_power
 from lbacal_core.sky.table import SkyPower, write_sky_power
+from validation.running.ledger import open_factory
 
 PATIENCE_S = 120.0
 CERTIFICATES = ssl.create_default_context()
@@ -111,8 +112,10 @@ def running(*processes: Process) -> Iterator[None]:
             process.stop()
 
 
-def make_key(environment: Mapping[str, str], scope: str) -> str:
-    return run_command(environment, "keys", "create", "--scope", scope).splitlines()[-1]
+def make_key(database_url: str, scope: str) -> str:
+    """A new key, of a database that has its schema then: made in this process, since to start one takes seconds."""
+    with open_factory(database_url) as factory:
+        return factory.keys.create((scope,))[1]
 
 
 @dataclass(frozen=True)
@@ -132,8 +135,7 @@ def run_service(database_url: str, folder: Path, *beside: str, **settings: Any) 
     address = f"http://127.0.0.1:{port}"
     values = {"database_url": database_url, **settings}
     environment = {f"LBACAL_{name.upper()}": str(value) for name, value in values.items()}
-    run_command(environment, "db", "upgrade")
-    key = make_key(environment, "admin")
+    key = make_key(database_url, "admin")
     serve = ("serve", "--port", str(port), "--api-only")
     processes = [Process(environment, folder / "log", *command) for command in (serve, *((name,) for name in beside))]
     with running(*processes):
