@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import numpy as np
 import psycopg
@@ -164,36 +165,57 @@ def sqlite_template(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("template") / "lbacal.sqlite"
     database = Database(f"sqlite:///{path}")
     upgrade(database)
-    # closing the last connection leaves all of it in the one file that is copied
     database.close()
     return path
 
 
+def copy_database(origin: str, copy: str) -> None:
+    """Make a database of either kind that is that of another, which nobody uses meanwhile."""
+    if "://" not in copy:
+        # closing the last connection left all of it in the one file
+        shutil.copy(origin, copy)
+        return
+    drop_database(copy)
+    one, other = (name_in_server(url) for url in (copy, origin))
+    with psycopg.connect(copy.replace(f"/{one}?", "/postgres?", 1), autocommit=True) as connection:
+        connection.execute(f"CREATE DATABASE {one} TEMPLATE {other} STRATEGY FILE_COPY")
+
+
+def drop_database(url: str) -> None:
+    """Drop a database of PostgreSQL, whoever uses it."""
+    name = name_in_server(url)
+    with psycopg.connect(url.replace(f"/{name}?", "/postgres?", 1), autocommit=True) as connection:
+        connection.execute(f"DROP DATABASE IF EXISTS {name} WITH (FORCE)")
+
+
+def name_in_server(url: str) -> str:
+    """The name of a database of PostgreSQL."""
+    return urlsplit(url).path.removeprefix("/")
+
+
 @pytest.fixture(scope="session")
 def postgres_template(postgres: str) -> str:
-    name = f"template_{os.getpid()}"
+    url = postgres.replace("/postgres?", f"/template_{os.getpid()}?", 1)
     with psycopg.connect(postgres, autocommit=True) as connection:
-        connection.execute(f"CREATE DATABASE {name}")
-    database = Database(Settings(database_url=postgres.replace("/postgres?", f"/{name}?", 1)).sqlalchemy_url)
+        connection.execute(f"CREATE DATABASE {name_in_server(url)}")
+    database = Database(Settings(database_url=url).sqlalchemy_url)
     upgrade(database)
     database.close()
-    return name
+    return url
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
 def database_url(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
     """A database of either kind with the schema and nothing in it."""
     if request.param == "sqlite":
-        shutil.copy(request.getfixturevalue("sqlite_template"), tmp_path / "lbacal.sqlite")
+        copy_database(request.getfixturevalue("sqlite_template"), str(tmp_path / "lbacal.sqlite"))
         yield str(tmp_path / "lbacal.sqlite")
         return
-    server, template = request.getfixturevalue("postgres"), request.getfixturevalue("postgres_template")
-    name = f"test_{os.getpid()}_{next(_names)}"
-    with psycopg.connect(server, autocommit=True) as connection:
-        connection.execute(f"CREATE DATABASE {name} TEMPLATE {template} STRATEGY FILE_COPY")
-    yield server.replace("/postgres?", f"/{name}?", 1)
-    with psycopg.connect(server, autocommit=True) as connection:
-        connection.execute(f"DROP DATABASE {name} WITH (FORCE)")
+    template = request.getfixturevalue("postgres_template")
+    url = template.replace("/template_", f"/test_{next(_names)}_", 1)
+    copy_database(template, url)
+    yield url
+    drop_database(url)
 
 
 @pytest.fixture

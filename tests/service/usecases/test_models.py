@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from lbacal_twin.settings import TwinSettings
 from service.factory import Factory
 from service.page.render import format_day
 from service.scheduler import look_for_due_work
-from tests.service.conftest import night, served, work
+from tests.service.conftest import Clock, bearer, copy_database, night, served, work
 from validation.twin import planted_curve
 
 PATH = {"station": "CS002", "antenna": 2, "dipole": "Y"}
@@ -41,14 +41,43 @@ def campaign(superterp: Instrument, sky_power_file: Path) -> Spectra:
     ).spectra
 
 
+@dataclass
+class Kept:
+    """A database in which the investigation was made, where it was copied, its id, and the instant then."""
+
+    url: str
+    investigation: str
+    now: int
+
+
+@pytest.fixture(scope="session")
+def kept() -> dict[str, Kept]:
+    """By the kind of database; the investigation is made once, and each test begins with a copy."""
+    return {}
+
+
 @pytest.fixture
-def found(station: Factory, http: TestClient) -> str:
+def found(
+    station: Factory, http: TestClient, clock: Clock, kept: dict[str, Kept], tmp_path_factory: pytest.TempPathFactory
+) -> str:
     """The id of the investigation of 2015, whose finding 0 is the mixed dipoles; the years are in effect."""
-    night(station)
-    job = http.post("/v1/investigations", json=BETWEEN).json()["job"]
-    work(station)
-    (name,) = http.get(f"/v1/jobs/{job}").json()["results"]
-    return str(name)
+    own, kind = station.settings.database_url, station.database.engine.dialect.name
+    if kind in kept:
+        station.database.close()
+        copy_database(kept[kind].url, own)
+        clock.now = kept[kind].now
+        http.headers.update(bearer(station, "admin"))
+    else:
+        night(station)
+        job = http.post("/v1/investigations", json=BETWEEN).json()["job"]
+        work(station)
+        (name,) = http.get(f"/v1/jobs/{job}").json()["results"]
+        is_file = kind == "sqlite"
+        url = str(tmp_path_factory.mktemp("kept") / "kept.sqlite") if is_file else own.replace("/test_", "/kept_", 1)
+        station.database.close()
+        copy_database(own, url)
+        kept[kind] = Kept(url, str(name), clock.now)
+    return kept[kind].investigation
 
 
 def told(http: TestClient, at: str, **params: Any) -> dict[str, Any]:
