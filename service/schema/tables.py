@@ -82,6 +82,16 @@ spectrum = Table(
     PrimaryKeyConstraint("event", "path"),
 )
 
+event_station = Table(
+    "event_station",
+    metadata,
+    Column("event", BigNumber, ForeignKey("event.id"), nullable=False),
+    Column("station", Text, nullable=False),
+    Column("spectra", Integer, nullable=False, comment="how many are stored, written with them"),
+    Column("waiting", Integer, nullable=False, comment="how many of them are far from the usual power of their paths"),
+    PrimaryKeyConstraint("event", "station"),
+)
+
 receipt = Table(
     "receipt",
     metadata,

@@ -3,15 +3,28 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import groupby
+from itertools import compress, groupby
 from math import isnan
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from sqlalchemy import BigInteger, Connection, Row, Select, bindparam, exists, func, select, union_all, update
+from sqlalchemy import (
+    BigInteger,
+    ColumnElement,
+    Connection,
+    Row,
+    Select,
+    bindparam,
+    exists,
+    func,
+    select,
+    union_all,
+    update,
+)
 
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import BadInputError
@@ -19,8 +32,8 @@ from lbacal_core.grids import Floats
 from lbacal_core.spectra.screening import measure_level
 from lbacal_core.spectra.spectra import MAX_COVARIATES, Spectra
 from service.errors import ConflictError, NotFoundError
-from service.schema.tables import IS_FAR, event, event_flag, path, receipt, spectrum
-from service.storage.rows import Store, add_rows
+from service.schema.tables import IS_FAR, event, event_flag, event_station, path, receipt, spectrum
+from service.storage.rows import Store, add_rows, insert_into
 
 # Spectra as they arrive: each event, covariate and spectrum is stored once, whoever sends it how often.
 #
@@ -63,6 +76,8 @@ _SQL = {
 
 ArrivalRow = tuple[Any, ...]
 Item = TypeVar("Item")
+OfStation = tuple[int, str]
+"""Number of an event, and a station."""
 
 
 class Arrivals:
@@ -89,10 +104,13 @@ class Arrivals:
         far = np.full(len(spectra), np.nan) if far is None else far
         waiting = [None if isnan(one) else one for one in far[order].tolist()]
         rows: list[ArrivalRow] = list(zip(*columns, powers, waiting, strict=True))
-        stored = self._insert("spectrum", rows)
-        if stored < len(rows):
+        new = self._insert_spectra(rows)
+        keys = list(zip(columns[1], spectra.station[order].tolist(), strict=True))
+        is_far = np.isfinite(far[order])
+        _count(self._connection, Counter(_those(keys, new)), Counter(_those(keys, new & is_far)))
+        if not np.all(new):
             self._require_same(spectra, order, rows)
-        return stored
+        return int(np.sum(new))
 
     def find_receipts(self, digests: Sequence[str]) -> dict[str, tuple[int, list[str]]]:
         """How many spectra bodies hold that were stored whole before, and what was said of them, by SHA-256."""
@@ -145,6 +163,23 @@ class Arrivals:
             values: Any = list(some) if self._is_sqlite else tuple(list(column) for column in zip(*some, strict=True))
             inserted += self._connection.exec_driver_sql(self._sql[table], values).rowcount
         return inserted
+
+    def _insert_spectra(self, rows: Sequence[ArrivalRow]) -> NDArray[np.bool_]:
+        """Insert spectra that are not there, and return which were not, shape (row,)."""
+        if not self._is_sqlite:
+            found: set[tuple[int, int]] = set()
+            for some in _parts(rows):
+                values = tuple(list(column) for column in zip(*some, strict=True))
+                done = self._connection.exec_driver_sql(self._sql["spectrum"] + " RETURNING path, event", values)
+                found.update((row.path, row.event) for row in done)
+            return np.array([row[:2] in found for row in rows], dtype=bool)
+        # the one who writes finds what it wrote behind what was there
+        last = self._connection.exec_driver_sql("SELECT coalesce(max(rowid), 0) FROM spectrum").scalar_one()
+        if self._insert("spectrum", rows) == len(rows):
+            return np.ones(len(rows), dtype=bool)
+        written = self._connection.exec_driver_sql("SELECT path, event FROM spectrum WHERE rowid > ?", (last,))
+        found = {(row.path, row.event) for row in written}
+        return np.array([row[:2] in found for row in rows], dtype=bool)
 
     def _number_events(self, spectra: Spectra, times: NDArray[np.int64]) -> NDArray[np.int64]:
         """Row number of the event of each spectrum, shape (row,); events not there are made."""
@@ -247,6 +282,23 @@ def _covariates_of_events(spectra: Spectra, of_row: NDArray[np.int64], events: i
 def _parts(items: Sequence[Item]) -> Iterator[Sequence[Item]]:
     for start in range(0, len(items), _ROWS_AT_ONCE):
         yield items[start : start + _ROWS_AT_ONCE]
+
+
+def _those(items: Sequence[Item], which: NDArray[np.bool_]) -> Iterator[Item]:
+    return compress(items, which.tolist())
+
+
+def _count(connection: Connection, spectra: Mapping[OfStation, int], waiting: Mapping[OfStation, int]) -> None:
+    """Add to the numbers of spectra that are stored and that wait, by event and station."""
+    rows = [
+        {"event": event, "station": station, "spectra": spectra.get(key, 0), "waiting": waiting.get(key, 0)}
+        for key in sorted({*spectra, *waiting})
+        for event, station in [key]
+    ]
+    statement = insert_into(connection, event_station)
+    sums = {name: event_station.c[name] + statement.excluded[name] for name in ("spectra", "waiting")}
+    if rows:
+        connection.execute(statement.on_conflict_do_update(index_elements=["event", "station"], set_=sums), rows)
 
 
 EVENTS_AT_ONCE = 500
@@ -416,10 +468,28 @@ class SpectraStore(Store):
 
         Spectra are only ever added and flags only ever appended, so the pair is the same only if the content is.
         """
-        count = self._connection.execute(_usable(select(func.count()), window)).scalar_one()
         flags = select(func.coalesce(func.max(event_flag.c.id), 0)).join(event, event.c.id == event_flag.c.event)
         flags = flags.where(event.c.time_us >= window.since, event.c.time_us < window.until)
-        return int(count), int(self._connection.execute(flags).scalar_one())
+        return self._count_usable(window), int(self._connection.execute(flags).scalar_one())
+
+    def _count_usable(self, window: Window) -> int:
+        """How many spectra a fit of a window uses, from the numbers that are kept for events and stations."""
+        inner = Window(window.since + EVENT_SPAN_US, window.until - EVENT_SPAN_US, window.scope)
+        if window.scope.antenna is not None or inner.since >= inner.until:
+            return self._count_single(_usable(select(func.count()), window))
+        kept = select(func.coalesce(func.sum(event_station.c.spectra - event_station.c.waiting), 0))
+        kept = kept.join(event, event.c.id == event_station.c.event).where(*_of_events(inner, event.c.flag.is_(None)))
+        if window.scope.station is not None:
+            kept = kept.where(event_station.c.station == window.scope.station)
+        # only of an event within a minute of an end may some spectra lie beyond it
+        ends = [
+            _usable(select(func.count()), window).where(*_of_events(Window(since, since + 2 * EVENT_SPAN_US)))
+            for since in (window.since - EVENT_SPAN_US, window.until - EVENT_SPAN_US)
+        ]
+        return sum(self._count_single(one) for one in (kept, *ends))
+
+    def _count_single(self, statement: Select[Any]) -> int:
+        return int(self._connection.execute(statement).scalar_one())
 
     def newest_event(self, window: Window) -> int:
         """The number of the event that came last into a window, of whatever scope; 0 where there is none."""
@@ -428,10 +498,14 @@ class SpectraStore(Store):
         newest = newest.where(event.c.time_us < window.until + EVENT_SPAN_US)
         return int(self._connection.execute(newest).scalar_one())
 
-    def most_of_a_path(self, window: Window) -> int:
-        """The largest number of usable spectra that any path of a window has."""
+    def has_path_of(self, window: Window, least: int) -> bool:
+        """Whether any path of a station's window has so many usable spectra."""
+        paths = select(func.count()).select_from(path).where(path.c.station == window.scope.station)
+        usable = self._count_usable(window)
+        if usable < least or usable >= least * self._count_single(paths):
+            return usable >= least  # all paths together have fewer; or their mean has as many
         of_paths = _usable(select(func.count().label("spectra")), window).group_by(spectrum.c.path).subquery()
-        return int(self._connection.execute(select(func.max(of_paths.c.spectra))).scalar_one() or 0)
+        return self._count_single(select(func.coalesce(func.max(of_paths.c.spectra), 0))) >= least
 
     def events(self, asked: EventsAsked) -> list[StoredEvent]:
         """Stored events in the order in which they came."""
@@ -441,11 +515,11 @@ class SpectraStore(Store):
         if asked.until is not None:
             statement = statement.where(event.c.time_us < asked.until)
         if asked.flag is not None:
-            is_waiting = event.c.id.in_(select(spectrum.c.event).where(spectrum.c.far.is_not(None)))
+            is_waiting = event.c.id.in_(select(event_station.c.event).where(event_station.c.waiting > 0))
             statement = statement.where(is_waiting if asked.flag == FAR_LEVEL else event.c.flag == asked.flag)
         if asked.station is not None:
-            of_station = select(spectrum.c.event).join(path, path.c.id == spectrum.c.path)
-            statement = statement.where(event.c.id.in_(of_station.where(path.c.station == asked.station)))
+            of_station = select(event_station.c.event).where(event_station.c.station == asked.station)
+            statement = statement.where(event.c.id.in_(of_station))
         return self._with_counts(self._connection.execute(statement).all())
 
     def event(self, event_id: str) -> StoredEvent:
@@ -456,18 +530,16 @@ class SpectraStore(Store):
         return self._with_counts(rows)[0]
 
     def _with_counts(self, rows: Sequence[Row[Any]]) -> list[StoredEvent]:
-        numbers = func.count().label("spectra"), func.count(spectrum.c.far).label("waiting")
-        counted = select(spectrum.c.event, path.c.station, *numbers)
-        counted = counted.join(path, path.c.id == spectrum.c.path).where(spectrum.c.event.in_([row.id for row in rows]))
+        numbers = [row.id for row in rows]
         counts: dict[int, dict[str, int]] = {}
-        waiting: dict[int, int] = {}
-        for row in self._connection.execute(counted.group_by(spectrum.c.event, path.c.station)):
+        waiting = Counter[int]()
+        for row in self._connection.execute(select(event_station).where(event_station.c.event.in_(numbers))):
             counts.setdefault(row.event, {})[row.station] = row.spectra
-            waiting[row.event] = waiting.get(row.event, 0) + row.waiting
+            waiting[row.event] += row.waiting
         return [
             StoredEvent(
                 row.id, row.event_id, row.time_us, sum(counts.get(row.id, {}).values()),
-                sorted(counts.get(row.id, {})), waiting.get(row.id, 0), row.flag, json.loads(row.env or "{}"),
+                sorted(counts.get(row.id, {})), waiting[row.id], row.flag, json.loads(row.env or "{}"),
             )
             for row in rows
         ]  # fmt: skip
@@ -475,7 +547,7 @@ class SpectraStore(Store):
     def set_flag(self, event_id: str, flag: str | None, *, reason: str, by: str, at: Instant) -> None:
         """Set or clear the quality flag of an event; who did it and why is kept. None of its spectra waits longer."""
         number = self.event(event_id).number
-        self._connection.execute(update(spectrum).where(spectrum.c.event == number, IS_FAR).values(far=None))
+        self._end_waiting(spectrum.c.event == number)
         self._connection.execute(update(event).where(event.c.id == number).values(flag=flag))
         entry = {"event": number, "flag": flag, "reason": reason, "by": by, "at_us": at}
         self._connection.execute(event_flag.insert().values(entry))
@@ -492,18 +564,35 @@ class SpectraStore(Store):
     def end_waiting(self, number: int, times: Sequence[Instant]) -> None:
         """Spectra of a path take part in fits from now on."""
         for some in _parts(times):
-            of_path = update(spectrum).where(spectrum.c.path == number, spectrum.c.far.is_not(None))
-            self._connection.execute(of_path.where(spectrum.c.time_us.in_(some)).values(far=None))
+            self._end_waiting(spectrum.c.path == number, spectrum.c.time_us.in_(some))
+
+    def _end_waiting(self, *which: ColumnElement[bool]) -> None:
+        ended = update(spectrum).where(IS_FAR, *which).values(far=None).returning(spectrum.c.path, spectrum.c.event)
+        rows = self._connection.execute(ended).all()
+        if rows:
+            station_of = {row.id: row.station for row in self._paths(Scope())}
+            _count(
+                self._connection,
+                {},
+                {key: -n for key, n in Counter((r.event, station_of[r.path]) for r in rows).items()},
+            )
 
 
 def _usable(statement: Select[Any], window: Window) -> Select[Any]:
     """Restrict a statement to the spectra that a fit of a window uses."""
-    statement = _joined(statement).where(
-        event.c.time_us >= window.since - EVENT_SPAN_US, event.c.time_us < window.until + EVENT_SPAN_US,
-        spectrum.c.time_us >= window.since, spectrum.c.time_us < window.until, event.c.flag.is_(None),
-        spectrum.c.far.is_(None),
+    near = Window(window.since - EVENT_SPAN_US, window.until + EVENT_SPAN_US)
+    return _of_scope(_joined(statement), window.scope).where(
+        *_of_events(near, event.c.flag.is_(None)), spectrum.c.far.is_(None),
+        spectrum.c.time_us >= window.since, spectrum.c.time_us < window.until,
     )  # fmt: skip
-    scope = window.scope
+
+
+def _of_events(window: Window, *more: ColumnElement[bool]) -> tuple[ColumnElement[bool], ...]:
+    """What holds for events of a window."""
+    return (event.c.time_us >= window.since, event.c.time_us < window.until, *more)
+
+
+def _of_scope(statement: Select[Any], scope: Scope) -> Select[Any]:
     if scope.station is not None:
         statement = statement.where(path.c.station == scope.station)
     if scope.antenna is not None:

@@ -71,7 +71,7 @@ class Investigations:
         for since, until in find_years(stores):
             for station in stores.spectra.stations():
                 window = Window(since, until, Scope(station))
-                if stores.spectra.most_of_a_path(window) >= MIN_EVENTS:
+                if stores.spectra.has_path_of(window, MIN_EVENTS):
                     yield describe_part(station, since, until), [stores.spectra.content(window), search]
 
     def run(self, part: Part, worker: str) -> None:

@@ -277,7 +277,7 @@ def test_a_database_of_revision_0021_loses_caches_and_no_fact(factory: Factory, 
     execute(factory.database, "DROP TABLE sums")
     for name in ("kept_fit", "drift_source", "event_modes", "monthly_ratio"):
         execute(factory.database, f"CREATE TABLE {name} (x INTEGER)")
-    for name in ("session", "change_decision", "change_evidence", "change"):
+    for name in ("event_station", "session", "change_decision", "change_evidence", "change"):
         execute(factory.database, f"DROP TABLE {name}")
     for statement in ("DROP INDEX ix_job_work", "ALTER TABLE job DROP COLUMN called_for", *LATER, *OLD_CUTS):
         execute(factory.database, statement)
@@ -367,7 +367,7 @@ def test_the_page_on_backups_is_followed_word_by_word(
     factory.keys.create(("read",))
     factory.database.close()
     first = rows_of(settings.sqlalchemy_url)
-    assert (first["revision"], len(first["calibration"]), len(first["api_key"])) == ([("0027",)], len(stored), 1)
+    assert (first["revision"], len(first["calibration"]), len(first["api_key"])) == ([("0028",)], len(stored), 1)
     follow("Upgrade")
     upgraded = rows_of(settings.sqlalchemy_url)
     assert upgraded == first

@@ -1,18 +1,23 @@
 from __future__ import annotations
 
 import tracemalloc
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import numpy as np
 import pytest
 import sqlalchemy
+from alembic import command
 
 from lbacal_core.curves.validity import Scope
 from lbacal_core.spectra.spectra import Spectra
 from service.errors import ConflictError
 from service.factory import Factory
-from service.storage.spectra import Window
+from service.storage.migration import make_config, upgrade
+from service.storage.spectra import EventsAsked, Window
 from tests.service.conftest import add_spectra, flat_spectra
 
 CHANNELS = 51
@@ -125,3 +130,95 @@ def test_a_conflict_names_five_spectra_and_counts_the_rest(factory: Factory) -> 
     changed = replace(spectra, power=spectra.power * (1 + 1e-15), blocks=spectra.blocks + 1)
     with pytest.raises(ConflictError, match=r"e00000, CS001 antenna 0 X \(blocks, power\); .* and 4 more$"):
         add(factory, changed)
+
+
+def of_two_stations(rng: np.random.Generator, minutes: float = 240.0) -> Spectra:
+    """Forty events of two stations, some beside each other, with spectra up to 59 s from the first of their event."""
+    began = 1.4e9 + np.sort(rng.uniform(0.0, 60.0 * minutes, 40))
+    rows = [
+        (f"e{k}", float(began[k] + rng.uniform(0.0, 59.0) * (n > 0)), station, antenna, dipole)
+        for k in range(40)
+        for n, (station, antenna, dipole) in enumerate(product(("CS001", "CS002"), range(3), "XY"))
+        if n == 0 or rng.random() < 0.7
+    ]
+    return flat_spectra(*rows)
+
+
+def count_rows(factory: Factory, window: Window, least: int) -> tuple[int, bool]:
+    """What `content` and `has_path_of` say, by a look at every stored spectrum."""
+    of_paths: Counter[tuple[Any, ...]] = Counter()
+    with factory.database.engine.connect() as connection:
+        for row in connection.exec_driver_sql(
+            "SELECT station, antenna, dipole, spectrum.time_us, flag, far FROM spectrum "
+            "JOIN path ON path.id = path JOIN event ON event.id = event"
+        ):
+            of_scope = window.scope in (Scope(), Scope(row.station), Scope(row.station, row.antenna, row.dipole))
+            if of_scope and window.since <= row.time_us < window.until and row.flag is None and row.far is None:
+                of_paths[row[:3]] += 1
+    return of_paths.total(), max(of_paths.values(), default=0) >= least
+
+
+def test_counts_that_are_kept_are_those_of_the_rows(factory: Factory) -> None:
+    """Each question of the scheduler about one station walked the spectra of all."""
+    rng = np.random.default_rng(11)
+    spectra = of_two_stations(rng)
+    for _ in range(4):
+        some = spectra.select(rng.random(len(spectra)) < 0.4)
+        far = np.where(rng.random(len(some)) < 0.1, 30.0, np.nan)
+        with factory.database.write() as stores:
+            stores.spectra.add(some, far)
+    with factory.database.write() as stores:
+        assert stores.spectra.add(spectra) > 0
+        for name in ("e3", "e17"):
+            stores.spectra.set_flag(name, "storm", reason="test", by="test", at=1)
+    begin, scopes = round(1.4e15), (Scope(), Scope("CS001"), Scope("CS002"), Scope("CS001", 2, "Y"), Scope("CS003"))
+    with factory.database.read() as stores:
+        for scope in scopes:
+            for minutes in rng.uniform(-10.0, 250.0, (12, 2)):
+                first, last = sorted(begin + round(6e7 * m) for m in minutes)
+                window, least = Window(first, last, scope), int(rng.integers(1, 30))
+                count, is_enough = count_rows(factory, window, least)
+                assert stores.spectra.content(window)[0] == count
+                if scope.station is not None:
+                    assert stores.spectra.has_path_of(window, least) == is_enough
+        listed = stores.spectra.events(EventsAsked())
+    assert sum(one.spectra for one in listed) == len(spectra)
+    assert all(one.stations in (["CS001"], ["CS001", "CS002"]) for one in listed)
+
+
+def test_counts_are_right_whoever_sends_what_at_the_same_time(factory: Factory) -> None:
+    spectra = of_two_stations(np.random.default_rng(12))
+
+    def send(seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        for _ in range(15):
+            some = spectra.select(rng.random(len(spectra)) < 0.2)
+            with factory.database.write() as stores:
+                stores.spectra.add(some, np.where(rng.random(len(some)) < 0.3, 30.0, np.nan))
+            with factory.database.write() as stores:
+                number, times, _ = next(stores.spectra.waiting(), (0, [], None))
+                stores.spectra.end_waiting(number, times[: rng.integers(len(times) + 1)])
+
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(send, range(4)))
+    add(factory, spectra)
+    with factory.database.engine.connect() as connection:
+        kept = "SELECT event, station, spectra, waiting FROM event_station"
+        rows = "SELECT event, station, count(*), count(far) FROM spectrum JOIN path ON path.id = path GROUP BY 1, 2"
+        found, counted = (sorted(tuple(row) for row in connection.exec_driver_sql(one)) for one in (kept, rows))
+    assert found == counted
+    assert sum(row[2] for row in found) == len(spectra)
+    assert sum(row[3] for row in found) > 0
+
+
+def test_what_an_older_schema_holds_is_counted_by_the_upgrade(factory: Factory) -> None:
+    spectra = of_two_stations(np.random.default_rng(13))
+    with factory.database.write() as stores:
+        stores.spectra.add(spectra, np.where(np.arange(len(spectra)) % 7 == 0, 30.0, np.nan))
+    kept = "SELECT * FROM event_station ORDER BY event, station"
+    with factory.database.engine.connect() as connection:
+        before = connection.exec_driver_sql(kept).all()
+    command.downgrade(make_config(factory.database), "0027")
+    upgrade(factory.database)
+    with factory.database.engine.connect() as connection:
+        assert connection.exec_driver_sql(kept).all() == before
