@@ -26,7 +26,7 @@ from service.handlers import (
     session,
     spectra,
 )
-from service.handlers.edge import AnswersHead, Edge, KeyGuard
+from service.handlers.edge import BAD_KEYS_AT_ONCE, BAD_KEYS_PER_S, AnswersHead, Buckets, Edge
 from service.handlers.metrics import Traffic
 from service.handlers.request import LARGE_READS, require_acceptable, require_known_query
 
@@ -44,7 +44,7 @@ def make_app(factory: Factory) -> FastAPI:
         dependencies=[Depends(require_acceptable), Depends(require_known_query)],
     )
     app.state.factory = factory
-    app.state.guard = KeyGuard()
+    app.state.wrong_keys = Buckets(BAD_KEYS_PER_S, BAD_KEYS_AT_ONCE)
     app.state.registry = CollectorRegistry()
     app.state.large_bodies = asyncio.Semaphore(1)
     app.state.large_reads = asyncio.Semaphore(LARGE_READS)

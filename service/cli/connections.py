@@ -10,6 +10,7 @@ import asyncio
 import os
 import resource
 import socket
+from collections.abc import Collection
 from typing import Any
 
 import uvicorn
@@ -28,15 +29,22 @@ SPARE_FILES = 5 * BACKLOG + 100
 
 
 class BoundedProtocol(H11Protocol):
-    """One connection: closed where there are too many, or when the head of its next request does not come."""
+    """One connection: closed where there are too many, or when the head of its next request does not come.
+
+    No address has more connections than are left for all others, but for the proxies that `FORWARDED_ALLOW_IPS` names.
+    """
 
     most = 500
+    proxies: Collection[str] = ()
     _awaited: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Begin to wait for the head of the first request."""
         super().connection_made(transport)
-        if len(self.connections) > self.most:
+        address = self.client and self.client[0]
+        own = sum((getattr(one, "client", None) or ("",))[0] == address for one in self.connections)
+        left = self.most - len(self.connections)
+        if left < 0 or (own > left + 1 and not {address, "*"} & set(self.proxies)):
             transport.abort()
         else:
             self._await_head()
@@ -75,7 +83,9 @@ def limit_connections(wanted: int) -> type[BoundedProtocol]:
     if soft < wanted + SPARE_FILES:
         soft = wanted + SPARE_FILES if hard == resource.RLIM_INFINITY else min(wanted + SPARE_FILES, hard)
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
-    return type("LimitedProtocol", (BoundedProtocol,), {"most": max(1, min(wanted, soft - SPARE_FILES))})
+    proxies = os.environ.get("FORWARDED_ALLOW_IPS", "").replace(" ", "").split(",")
+    own = {"most": max(1, min(wanted, soft - SPARE_FILES)), "proxies": proxies}
+    return type("LimitedProtocol", (BoundedProtocol,), own)
 
 
 def listen(host: str, port: int) -> socket.socket:

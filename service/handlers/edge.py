@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import hashlib
 import re
 import threading
 import time
@@ -12,6 +11,7 @@ from collections import OrderedDict
 from collections.abc import Callable, MutableMapping
 from dataclasses import dataclass, field
 from typing import Any
+from urllib.parse import urlsplit, urlunsplit
 
 import structlog
 from starlette.datastructures import Headers, MutableHeaders
@@ -28,7 +28,7 @@ from service.handlers.problems import problem, problem_of
 MOST_REMEMBERED = 10_000
 BAD_KEYS_AT_ONCE = 10
 BAD_KEYS_PER_S = 1 / 6
-"""An address may try ten wrong keys, and then ten a minute."""
+"""An address may try ten wrong keys, and then ten a minute; right ones are let through, whoever else tries there."""
 
 
 @dataclass
@@ -55,42 +55,6 @@ class Buckets:
             if len(self._filled) > MOST_REMEMBERED:
                 self._filled.popitem(last=False)  # asked least recently
             return 0.0 if is_enough else (1.0 - level) / self.rate
-
-
-class KeyGuard:
-    """Slows down whoever tries keys. A key that was good here before is let through, whoever else tries from there."""
-
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self._refused = Buckets(BAD_KEYS_PER_S, BAD_KEYS_AT_ONCE, clock)
-        self._good: OrderedDict[bytes, None] = OrderedDict()
-        self._lock = threading.Lock()
-
-    def require_patience(self, address: str, authorization: str | None) -> None:
-        """Refuse to look at another unknown key of an address that tried too many."""
-        if authorization is None or _hash(authorization) in self._good:
-            return
-        wait = self._refused.take(address, spends=False)
-        if wait > 0:
-            raise TooManyError("too many wrong keys came from this address", wait)
-
-    def note_good(self, authorization: str | None) -> None:
-        """Remember a key that was accepted."""
-        if authorization is not None:
-            with self._lock:
-                self._good[_hash(authorization)] = None
-                if len(self._good) > MOST_REMEMBERED:
-                    self._good.popitem(last=False)
-
-    def note_refused(self, address: str, authorization: str | None) -> None:
-        """Count a key that was not accepted, whether it is good no more or never was."""
-        if authorization is not None:
-            self._refused.take(address)
-            with self._lock:
-                self._good.pop(_hash(authorization), None)
-
-
-def _hash(text: str) -> bytes:
-    return hashlib.sha256(text.encode()).digest()
 
 
 _ELSEWHERE = "img-src 'self' data:; connect-src 'self'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
@@ -263,6 +227,8 @@ class _Exchange:
             headers["X-Request-ID"] = self._number
             if self.is_body_awaited:
                 headers["Connection"] = "close"  # what is left of the body is not a request
+            if "location" in headers:  # the framework writes the host that the client named
+                headers["Location"] = urlunsplit(urlsplit(headers["location"])._replace(scheme="", netloc=""))
         await self._send(message)
 
     async def answer(self, response: ASGIApp) -> None:

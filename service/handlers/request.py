@@ -14,9 +14,9 @@ from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from pydantic import BeforeValidator
 
 from lbacal_core.errors import BadInputError
-from service.errors import TooLargeError, UnauthenticatedError, UnavailableError, UnsupportedMediaError
+from service.errors import TooLargeError, TooManyError, UnauthenticatedError, UnavailableError, UnsupportedMediaError
 from service.factory import Factory
-from service.handlers.edge import KeyGuard
+from service.handlers.edge import Buckets
 from service.usecases.keys import Caller
 from service.wire.answers import choose_media, to_json
 
@@ -80,19 +80,17 @@ def require_caller(
     `authorization` is that of the request unless it is given: its header. A session is taken where a form was sent with
     it; and where reads need a key that of the browser, for reads alone.
     """
-    guard = cast("KeyGuard", request.app.state.guard)
-    address = request.client.host if request.client else ""
     authorization = authorization or request.headers.get("authorization")
     if authorization is None and scopes == ("read",) and request.method == "GET" and not use.settings.open_reads:
         session = session or request.cookies.get(SESSION_COOKIE)
-    shown = authorization if session is None else f"session {session}"
-    guard.require_patience(address, shown)
     try:
         caller = use.keys.require(authorization, *scopes, session=session)
     except UnauthenticatedError:
-        guard.note_refused(address, shown)
+        if authorization is not None or session is not None:
+            wait = cast("Buckets", request.app.state.wrong_keys).take(request.client.host if request.client else "")
+            if wait > 0:
+                raise TooManyError("too many wrong keys came from this address", wait) from None
         raise
-    guard.note_good(shown)
     request.state.caller = caller.name
     return caller
 

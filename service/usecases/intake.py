@@ -24,6 +24,8 @@ from service.storage.spectra import EVENT_SPAN_US, EventsAsked, StoredEvent
 from service.wire.bodies import LONGEST_NAME, MAX_SPECTRA, SpectraBody, SpectrumBody, parse_body
 from service.wire.hdf5_body import FileReader
 
+POWERS = 1e-100, 1e100
+"""What a measurement can be, in whatever unit: fits compute with squares."""
 MAX_NAMES_IN_BATCH = 64
 """Names of covariates in one batch: each is a column of it in memory."""
 PATHS_NAMED = 20
@@ -133,6 +135,7 @@ class Intake:
         if not len(spectra):
             raise BadInputError(spectra.origin, "spectra", "none")
         _require_names(spectra, name_place)
+        _require_powers(spectra, name_place)
         self._require_on_record(spectra, name_place)
         spectra.require_past(self.clock() / 1e6)
         _require_one_time_an_event(spectra, name_place)
@@ -270,6 +273,15 @@ def _as_spectra(body: SpectraBody, rows: Sequence[int], times: Sequence[Instant]
         environment={n: np.array([np.nan if e.get(n) is None else e[n] for e in env], dtype=float) for n in names},
         origin="body",
     )
+
+
+def _require_powers(spectra: Spectra, name_place: Place) -> None:
+    lowest, highest = POWERS
+    bad = np.argwhere((spectra.power < lowest) | (spectra.power > highest))
+    if len(bad):
+        row, channel = bad[0].tolist()
+        found = f"{float(spectra.power[row, channel])} at {spectra.frequency_mhz[channel]:g} MHz"
+        raise BadInputError(name_place("power", row), f"a power from {lowest:g} to {highest:g}", found)
 
 
 def _require_names(spectra: Spectra, name_place: Place) -> None:

@@ -7,7 +7,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -61,7 +61,7 @@ def test_half_a_request_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_connections_above_the_limit_are_closed_and_the_others_served() -> None:
     with serving(3) as address:
-        held = [socket.create_connection(address) for _ in range(3)]
+        held = [socket.create_connection(address, source_address=(f"127.0.0.{k}", 0)) for k in (2, 3, 4)]
         with socket.create_connection(address) as fourth:
             assert is_ended(fourth)
         for connection in held:
@@ -69,6 +69,21 @@ def test_connections_above_the_limit_are_closed_and_the_others_served() -> None:
         # the server notices that they left on its next turns
         while b"alive" not in _ask_or_nothing(address):
             pass
+
+
+@pytest.mark.parametrize(("proxies", "kept"), [("", 4), ("127.0.0.1", 4), ("127.0.0.1, 127.0.0.2", 7)])
+def test_one_address_cannot_have_all_connections(monkeypatch: pytest.MonkeyPatch, proxies: str, kept: int) -> None:
+    """500 unfinished heads from one address, and nobody else was answered."""
+    monkeypatch.setenv("FORWARDED_ALLOW_IPS", proxies)
+    with serving(7) as address, ExitStack() as held:
+        answered = 0
+        for _ in range(7):
+            one = held.enter_context(socket.create_connection(address, source_address=("127.0.0.2", 0)))
+            with suppress(ConnectionError):
+                one.sendall(b"GET / HTTP/1.1\r\nHost: x\r\n\r\n")
+                answered += b"200 OK" in one.recv(4096)
+        assert answered == kept
+        assert (b"alive" in _ask_or_nothing(address)) == (kept < 7)
 
 
 BURST = """

@@ -291,6 +291,13 @@ def test_what_json_says_twice_or_not_at_all_is_refused(client: TestClient, old: 
     [
         ({"dipole": "x"}, "body.spectra[1].dipole: expected one of X, Y, found 'x'"),
         ({"power": [1.0, -3.0, 3.0, 4.0]}, "body.spectra[1].power[1]: expected a number > 0, found -3.0"),
+        *[
+            (
+                {"power": [1.0, 2.0, bad, 4.0]},
+                f"body.spectra[1].power: expected a power from 1e-100 to 1e+100, found {bad}",
+            )
+            for bad in (1e308, 5e-324)
+        ],
         ({"antenna": 77}, "body.spectra[1].antenna: expected an antenna of CS001, found 77"),
         ({"antena": 1}, "body.spectra[1].antena: expected no field of this name, found 1"),
         ({"blocks": "100"}, "body.spectra[1].blocks: expected a valid integer, found '100'"),
@@ -318,6 +325,7 @@ def test_a_refusal_names_the_place_what_was_expected_and_what_was_found(
         ("time_unix", [1.2e9] * 8, "body: time_unix, row 0: expected an instant of 2009 or later"),
         ("frequency_mhz", [30.0, 45.0, 60.0, 81.0], "body: frequency_mhz, channel 3: expected 80 MHz"),
         ("power", -np.ones((8, 4)), "body: power, row 0: expected finite power > 0"),
+        ("power", 1e308 * np.ones((8, 4)), "body: power, row 0: expected a power from 1e-100 to 1e+100, found 1e+308"),
     ],
 )
 def test_a_bad_spectra_file_is_refused_whole(
