@@ -341,6 +341,10 @@ class Window:
     scope: Scope = Scope()  # noqa: RUF009 - frozen
 
 
+Content = tuple[int, int]
+"""Count of usable spectra, and number of the last flag."""
+
+
 class SpectraStore(Store):
     """What is stored of events and spectra."""
 
@@ -445,12 +449,20 @@ class SpectraStore(Store):
 
     def newest_by_path(self) -> dict[Scope, Instant]:
         """The newest spectrum of every path that has any, in order of the paths."""
-        # walks back from the newest event to the first that has the path
+        last = select(event.c.id).order_by(event.c.time_us.desc()).limit(EVENTS_BESIDE).subquery()
+        times = select(spectrum.c.path, func.max(spectrum.c.time_us).label("newest"))
+        times = times.where(spectrum.c.event.in_(select(last))).group_by(spectrum.c.path)
+        found = {row.path: int(row.newest) for row in self._connection.execute(times)}
+        # of what was silent then, walks back to the first event that has the path
         newest = select(spectrum.c.time_us).join(event, event.c.id == spectrum.c.event)
         newest = newest.where(spectrum.c.path == path.c.id).order_by(event.c.time_us.desc()).limit(1)
-        statement = select(path.c.station, path.c.antenna, path.c.dipole, newest.scalar_subquery().label("newest"))
-        rows = self._connection.execute(statement.order_by(path.c.station, path.c.antenna, path.c.dipole))
-        return {Scope(row.station, row.antenna, row.dipole): int(row.newest) for row in rows if row.newest is not None}
+        silent = select(path.c.id, newest.scalar_subquery().label("newest")).where(
+            path.c.id.in_(bindparam("some", expanding=True))
+        )
+        paths = self._paths(Scope())
+        for some in _parts([row.id for row in paths if row.id not in found]):
+            found |= {row.id: int(row.newest) for row in self._connection.execute(silent, {"some": some}) if row.newest}
+        return {Scope(row.station, row.antenna, row.dipole): found[row.id] for row in paths if row.id in found}
 
     def count_after(self, scope: Scope, instant: Instant) -> int:
         """How many spectra of a path are newer than an instant."""
@@ -463,33 +475,49 @@ class SpectraStore(Store):
         """How many events are stored."""
         return int(self._connection.execute(select(func.count()).select_from(event)).scalar_one())
 
-    def content(self, window: Window) -> tuple[int, int]:
+    def content(self, window: Window) -> Content:
         """What a window holds: the count of its usable spectra, and the number of the last flag set in it.
 
         Spectra are only ever added and flags only ever appended, so the pair is the same only if the content is.
         """
+        return self._count_usable(window).total(), self._last_flag(window)
+
+    def contents(self, since: Instant, until: Instant) -> dict[str, Content]:
+        """`content` of all stations that hold usable spectra, in alphabetical order."""
+        window = Window(since, until)
+        flag = self._last_flag(window)
+        return {station: (count, flag) for station, count in sorted(self._count_usable(window).items()) if count}
+
+    def _last_flag(self, window: Window) -> int:
         flags = select(func.coalesce(func.max(event_flag.c.id), 0)).join(event, event.c.id == event_flag.c.event)
         flags = flags.where(event.c.time_us >= window.since, event.c.time_us < window.until)
-        return self._count_usable(window), int(self._connection.execute(flags).scalar_one())
+        return int(self._connection.execute(flags).scalar_one())
 
-    def _count_usable(self, window: Window) -> int:
-        """How many spectra a fit of a window uses, from the numbers that are kept for events and stations."""
-        inner = Window(window.since + EVENT_SPAN_US, window.until - EVENT_SPAN_US, window.scope)
+    def _count_usable(self, window: Window) -> Counter[str]:
+        """How many spectra a fit of a window uses, by station, from the numbers that are kept of events."""
+        counted = _usable(select(path.c.station, func.count().label("spectra")), window).group_by(path.c.station)
+        inner = Window(window.since + EVENT_SPAN_US, window.until - EVENT_SPAN_US)
         if window.scope.antenna is not None or inner.since >= inner.until:
-            return self._count_single(_usable(select(func.count()), window))
-        kept = select(func.coalesce(func.sum(event_station.c.spectra - event_station.c.waiting), 0))
+            return self._add_up(counted)
+        kept = select(
+            event_station.c.station, func.sum(event_station.c.spectra - event_station.c.waiting).label("spectra")
+        )
         kept = kept.join(event, event.c.id == event_station.c.event).where(*_of_events(inner, event.c.flag.is_(None)))
         if window.scope.station is not None:
             kept = kept.where(event_station.c.station == window.scope.station)
         # only of an event within a minute of an end may some spectra lie beyond it
         ends = [
-            _usable(select(func.count()), window).where(*_of_events(Window(since, since + 2 * EVENT_SPAN_US)))
+            counted.where(*_of_events(Window(since, since + 2 * EVENT_SPAN_US)))
             for since in (window.since - EVENT_SPAN_US, window.until - EVENT_SPAN_US)
         ]
-        return sum(self._count_single(one) for one in (kept, *ends))
+        return self._add_up(kept.group_by(event_station.c.station), *ends)
 
-    def _count_single(self, statement: Select[Any]) -> int:
-        return int(self._connection.execute(statement).scalar_one())
+    def _add_up(self, *statements: Select[Any]) -> Counter[str]:
+        found = Counter[str]()
+        for statement in statements:
+            for row in self._connection.execute(statement):
+                found[row.station] += int(row.spectra)
+        return found
 
     def newest_event(self, window: Window) -> int:
         """The number of the event that came last into a window, of whatever scope; 0 where there is none."""
@@ -498,14 +526,21 @@ class SpectraStore(Store):
         newest = newest.where(event.c.time_us < window.until + EVENT_SPAN_US)
         return int(self._connection.execute(newest).scalar_one())
 
-    def has_path_of(self, window: Window, least: int) -> bool:
-        """Whether any path of a station's window has so many usable spectra."""
-        paths = select(func.count()).select_from(path).where(path.c.station == window.scope.station)
-        usable = self._count_usable(window)
-        if usable < least or usable >= least * self._count_single(paths):
-            return usable >= least  # all paths together have fewer; or their mean has as many
+    def stations_with(self, since: Instant, until: Instant, least: int) -> dict[str, Content]:
+        """Of `contents` that of the stations of which any path has so many usable spectra."""
+        of_station = select(path.c.station, func.count().label("paths")).group_by(path.c.station)
+        paths = {row.station: row.paths for row in self._connection.execute(of_station)}
+        return {
+            station: content
+            for station, content in self.contents(since, until).items()
+            # where their mean has as many one of them does, and all together have fewer where the sum has
+            if content[0] >= least * paths[station]
+            or (content[0] >= least and self._most_of_a_path(Window(since, until, Scope(station))) >= least)
+        }
+
+    def _most_of_a_path(self, window: Window) -> int:
         of_paths = _usable(select(func.count().label("spectra")), window).group_by(spectrum.c.path).subquery()
-        return self._count_single(select(func.coalesce(func.max(of_paths.c.spectra), 0))) >= least
+        return int(self._connection.execute(select(func.max(of_paths.c.spectra))).scalar_one() or 0)
 
     def events(self, asked: EventsAsked) -> list[StoredEvent]:
         """Stored events in the order in which they came."""

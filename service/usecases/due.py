@@ -28,7 +28,6 @@ from lbacal_core.simulation.simulation import Simulation
 from service.storage.database import Database, Stores
 from service.storage.jobs import Order, Part
 from service.storage.models import ModelChange
-from service.storage.spectra import Window
 from service.usecases.drift import find_years
 from service.usecases.drift_measurement import KIND as DRIFT
 from service.usecases.drift_measurement import find_references
@@ -137,16 +136,12 @@ class DueWork:
         for since, until in find_years(stores):
             if change is not None and not change.touches(since, until):
                 continue
-            filled = []
-            for station in stores.spectra.stations():
-                content = stores.spectra.content(Window(since, until, Scope(station)))
-                if content[0] == 0:
-                    continue
-                filled.append((station, content))
+            held = stores.spectra.contents(since, until)
+            for station, content in held.items():
                 for scope in ("antenna", "station"):
                     yield self._refit(stores, scope, Scope(station), since, until, content)
-            if filled:
-                yield self._refit(stores, "array", Scope(), since, until, filled)
+            if held:
+                yield self._refit(stores, "array", Scope(), since, until, list(held.items()))
 
     def _refit(self, stores: Stores, scope: str, of: Scope, since: Instant, until: Instant, content: Any) -> Order:
         model = stores.models.during(of.station, since, until)
@@ -166,13 +161,11 @@ class DueWork:
         return self._order(REFIT, part, called_for)
 
     def _drift(self, stores: Stores, stations: list[str]) -> Iterator[Order]:
+        held = {years: stores.spectra.contents(*years) for years in find_years(stores)}
         for station in stations:
             references = find_references(stores, self.simulation.instrument, station)
-            if not references:
-                continue
-            for since, until in find_years(stores):
-                content = stores.spectra.content(Window(since, until, Scope(station)))
-                if content[0] == 0:
+            for since, until in held if references else ():
+                if (content := held[since, until].get(station)) is None:
                     continue
                 part = {"station": station, "since": since, "until": until}
                 model = _name_change(stores, station, since, until)

@@ -50,12 +50,13 @@ class Investigations:
         select_paths(self.simulation.instrument, body.station, None, None)
         inputs = name_inputs(self.simulation).text
         with self.database.write() as stores:
+            years = {window: stores.spectra.contents(*window) for window in split_years(stores, since, until)}
             stations = [body.station] if body.station else stores.spectra.stations()
             parts = [
-                describe_part(station, first, last)
+                describe_part(station, *window)
                 for station in stations
-                for first, last in split_years(stores, since, until)
-                if stores.spectra.content(Window(first, last, Scope(station)))[0]
+                for window, held in years.items()
+                if station in held
             ]
             if not parts:
                 raise ConflictError("no usable spectra are stored in this window: ingest some, or ask for another one")
@@ -69,10 +70,8 @@ class Investigations:
         """
         search = [self.simulation.is_own_sky, Policy().as_dict()]
         for since, until in find_years(stores):
-            for station in stores.spectra.stations():
-                window = Window(since, until, Scope(station))
-                if stores.spectra.has_path_of(window, MIN_EVENTS):
-                    yield describe_part(station, since, until), [stores.spectra.content(window), search]
+            for station, content in stores.spectra.stations_with(since, until, MIN_EVENTS).items():
+                yield describe_part(station, since, until), [content, search]
 
     def run(self, part: Part, worker: str) -> None:
         """Do a part: read, search, and write report and the end of the part in one transaction."""

@@ -145,7 +145,7 @@ def of_two_stations(rng: np.random.Generator, minutes: float = 240.0) -> Spectra
 
 
 def count_rows(factory: Factory, window: Window, least: int) -> tuple[int, bool]:
-    """What `content` and `has_path_of` say, by a look at every stored spectrum."""
+    """What `content` and `stations_with` say, by a look at every stored spectrum."""
     of_paths: Counter[tuple[Any, ...]] = Counter()
     with factory.database.engine.connect() as connection:
         for row in connection.exec_driver_sql(
@@ -179,8 +179,10 @@ def test_counts_that_are_kept_are_those_of_the_rows(factory: Factory) -> None:
                 window, least = Window(first, last, scope), int(rng.integers(1, 30))
                 count, is_enough = count_rows(factory, window, least)
                 assert stores.spectra.content(window)[0] == count
-                if scope.station is not None:
-                    assert stores.spectra.has_path_of(window, least) == is_enough
+                if scope.station is not None and scope.antenna is None:
+                    held = stores.spectra.contents(first, last)
+                    assert held.get(scope.station, (0,))[0] == count
+                    assert (scope.station in stores.spectra.stations_with(first, last, least)) == is_enough
         listed = stores.spectra.events(EventsAsked())
     assert sum(one.spectra for one in listed) == len(spectra)
     assert all(one.stations in (["CS001"], ["CS001", "CS002"]) for one in listed)
