@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from astropy import units as u
 from astropy.coordinates import Angle
+from numpy.typing import NDArray
 
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, interpolate
@@ -25,6 +26,8 @@ from lbacal_core.instrument.matching import (
 )
 from lbacal_core.instrument.stages import FREE, gain_behind, read_touchstone_gain, require_chain
 from lbacal_core.instrument.stages import Stage as CoreStage
+
+T = TypeVar("T", np.float64, np.complex128)
 
 
 def convert_number(value: Any, unit: u.UnitBase) -> float:
@@ -152,7 +155,7 @@ def convert_gain(gain: Any, frequency_mhz: Floats, largest: float = np.inf) -> F
 
 def _convert_gain(gain: Any, frequency_mhz: Floats) -> Floats:
     if callable(gain):
-        return np.broadcast_to(np.asarray(gain(frequency_mhz), dtype=float), frequency_mhz.shape)
+        return _spread(np.asarray(gain(frequency_mhz), dtype=float), frequency_mhz, "chain: gain")
     if isinstance(gain, str | Path):
         return read_touchstone_gain(Path(gain), frequency_mhz)
     if isinstance(gain, tuple):
@@ -160,7 +163,7 @@ def _convert_gain(gain: Any, frequency_mhz: Floats) -> Floats:
         if nu.shape != values.shape or nu.size < 2 or np.any(np.diff(nu) <= 0):
             raise BadInputError("chain: stage", "a gain for each of two or more rising frequencies", f"{nu.shape}")
         return np.exp(interpolate(nu, np.log(values), frequency_mhz, "chain: stage"))
-    return np.broadcast_to(_linear(gain), frequency_mhz.shape)
+    return _spread(_linear(gain), frequency_mhz, "chain: gain")
 
 
 def mismatch(antenna: Any, load: Any = 50.0, off: complex = 0.0) -> Callable[[Floats], Floats]:
@@ -245,23 +248,39 @@ def _impedance(given: Any, frequency_mhz: Floats, name: str) -> Impedance:
     if isinstance(given, str | Path):
         return read_impedance(Path(given), frequency_mhz)
     if isinstance(given, tuple):
-        nu, values = convert_numbers(given[0], u.MHz), np.asarray(u.Quantity(given[1], u.ohm).value, dtype=complex)
-        return interpolate_impedance(nu, values, frequency_mhz, place)
-    found = given(frequency_mhz) if callable(given) else u.Quantity(given, u.ohm).value
-    return require_passive(np.broadcast_to(np.asarray(found, dtype=complex), frequency_mhz.shape), place)
+        return interpolate_impedance(convert_numbers(given[0], u.MHz), _ohm(given[1]), frequency_mhz, place)
+    found = np.asarray(given(frequency_mhz), dtype=complex) if callable(given) else _ohm(given)
+    return require_passive(_spread(found, frequency_mhz, place), place)
+
+
+def _ohm(given: Any) -> Impedance:
+    try:
+        return np.asarray(u.Quantity(given, u.ohm).value, dtype=complex)
+    except (u.UnitsError, TypeError, ValueError) as error:
+        raise _wrong_unit(given, u.ohm) from error
+
+
+def _spread(found: NDArray[T], frequency_mhz: Floats, place: str) -> NDArray[T]:
+    """One number, or one a channel, on the channels."""
+    if found.shape not in ((), (1,), frequency_mhz.shape):
+        raise BadInputError(place, f"one number, or one of each of {frequency_mhz.size} channels", f"{found.size}")
+    return np.broadcast_to(found, frequency_mhz.shape)
 
 
 def spread_numbers(given: Any, unit: u.UnitBase, frequency_mhz: Floats, place: str) -> Floats:
     """A number, a table (frequency, number) or a function of the frequency in MHz, shape (freq,)."""
     if callable(given):
-        return np.broadcast_to(np.asarray(given(frequency_mhz), dtype=float), frequency_mhz.shape).copy()
+        return _spread(np.asarray(given(frequency_mhz), dtype=float), frequency_mhz, place).copy()
     if isinstance(given, tuple) and len(given) == 2:
         return interpolate(convert_numbers(given[0], u.MHz), convert_numbers(given[1], unit), frequency_mhz, place)
-    return np.broadcast_to(convert_numbers(given, unit), frequency_mhz.shape).copy()
+    return _spread(convert_numbers(given, unit), frequency_mhz, place).copy()
 
 
 def _linear(gain: Any) -> Floats:
     """A power gain, linear or in dB, as a linear one."""
     if isinstance(gain, u.Quantity) and gain.unit == u.dB:
         return np.asarray(10.0 ** (np.asarray(gain.value, dtype=float) / 10.0))
-    return np.asarray(u.Quantity(gain, u.dimensionless_unscaled).value, dtype=float)
+    try:
+        return np.asarray(u.Quantity(gain, u.dimensionless_unscaled).value, dtype=float)
+    except (u.UnitsError, TypeError, ValueError) as error:
+        raise BadInputError("chain: gain", "a power factor, or decibels such as -20 * u.dB", repr(gain)) from error

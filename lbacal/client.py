@@ -9,9 +9,11 @@ import time
 import warnings
 from collections.abc import Callable
 from datetime import UTC, datetime
+from functools import wraps
+from inspect import signature
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, Self, TypeVar
 
 import numpy as np
 
@@ -103,13 +105,16 @@ class Client:
         at: Any, as_of: Any = None, gap: str | None = None, scope: str | None = None, tag: str | None = None,
         format: str | None = None,  # noqa: A002 (the name that the HTTP route has)
     ) -> Any:  # fmt: skip
-        """The calibration in effect at `at`, one row per path and frequency.
+        """The calibration in effect at an instant, one row per path and frequency, with units.
 
         A tag that is in `LBACAL_CACHE` is answered from there, since it is the same for ever; anything else only where
         the server does not answer, and then from the tag that was synced last.
 
         Parameters
         ----------
+        station, antenna, dipole
+            A path such as ``("CS002", 17, "X")``; without dipole both, without antenna the whole station, without
+            station all stations.
         at, as_of
             When the data were taken, and when the question is asked (None: now): an astropy Time, a datetime
             (naive = UTC) or ISO 8601 text.
@@ -124,10 +129,16 @@ class Client:
 
         Returns
         -------
-        A `CurveTable`; with `format` the bytes of such a file. C of every path through its own cable, whichever scope
+        A `CurveTable` with the columns `c`, `c_sigma_stat`, `c_sigma_sys` (V per ADC unit), `frequency_mhz`, `flag` and
+        more; with `format` the bytes of such a file. C of every path through its own cable, whichever scope
         answered. `flag` is ``ok``, or ``uncertain`` for the reason in `flag_reason`; `factor` is c over that of the
         stored curve. `meta["source"]` is the address that answered; where no server did and `LBACAL_CACHE` is set, the
         cached tag (with a `CachedAnswerWarning`).
+
+        Examples
+        --------
+        >>> import lbacal
+        >>> lbacal.effective("CS002", antenna=17, dipole="X", at="2014-05-01")  # doctest: +SKIP
         """
         params = {"station": station, "antenna": antenna, "dipole": dipole, "gap": gap, "scope": scope, "tag": tag}
         params |= {"at": format_time(at), "as_of": None if as_of is None else format_time(as_of)}
@@ -226,51 +237,24 @@ class Client:
         return job
 
 
-def effective(
-    station: str | None = None, antenna: int | None = None, dipole: str | None = None, *,
-    at: Any, as_of: Any = None, gap: str | None = None, scope: str | None = None, tag: str | None = None,
-    format: str | None = None,  # noqa: A002 (the name that the HTTP route has)
-) -> Any:  # fmt: skip
-    """The calibration in effect at an instant, one row per path and frequency, with units.
-
-    Parameters
-    ----------
-    station, antenna, dipole
-        A path such as ``("CS002", 17, "X")``; without dipole both, without antenna the whole station, without station
-        all stations.
-    at, as_of
-        When the data were taken, and when the question is asked (None: now): an astropy Time, a datetime (naive = UTC)
-        or ISO 8601 text.
-    gap, scope, tag
-        See `Client.effective`.
-    format
-        A format in which the server writes it: json, csv, ecsv, fits, hdf5, or nuradio for one path.
-
-    Returns
-    -------
-    A `CurveTable` with the columns `c`, `c_sigma_stat`, `c_sigma_sys` (V per ADC unit), `frequency_mhz`, `flag`,
-    `flag_reason` and more; with `format` the bytes of such a file.
-
-    Examples
-    --------
-    >>> import lbacal
-    >>> lbacal.effective("CS002", antenna=17, dipole="X", at="2014-05-01")  # doctest: +SKIP
-    """
-    with Client() as client:
-        about: dict[str, Any] = {"as_of": as_of, "gap": gap, "scope": scope, "tag": tag, "format": format}
-        return client.effective(station, antenna, dipole, at=at, **about)
+P = ParamSpec("P")
+R = TypeVar("R")
 
 
-def ingest(spectra: Path | str | Spectra) -> dict[str, Any]:
-    """Send spectra; see `Client.ingest`."""
-    with Client() as client:
-        return client.ingest(spectra)
+def _asking(method: Callable[Concatenate[Client, P], R]) -> Callable[P, R]:
+    """A method of a client as a function, which asks the server of `LBACAL_URL`."""
+
+    @wraps(method)
+    def ask(*args: P.args, **named: P.kwargs) -> R:
+        with Client() as client:
+            return method(client, *args, **named)
+
+    own = signature(method)
+    vars(ask)["__signature__"] = own.replace(parameters=list(own.parameters.values())[1:])
+    return ask
 
 
-def refit(scope: str, since: Any, until: Any, *, reason: str, **more: Any) -> dict[str, Any]:
-    """Ask for fits; see `Client.refit`."""
-    with Client() as client:
-        return client.refit(scope, since, until, reason=reason, **more)
+effective, ingest, refit = _asking(Client.effective), _asking(Client.ingest), _asking(Client.refit)
 
 
 def format_time(instant: Any) -> str:

@@ -41,8 +41,8 @@ def require_same_grid(place: str, frequency_mhz: Floats, expected_mhz: Floats, e
         )
 
 
-HIGHEST_MHZ = 1e5
-"""Nobody receives the Galaxy at 100 GHz: larger numbers are Hz."""
+LOWEST_MHZ, HIGHEST_MHZ = 1.0, 1e5
+"""Nobody receives the Galaxy at 100 GHz, or below 1 MHz alone: other numbers are Hz or GHz."""
 
 
 def require_channels(place: str, frequency_mhz: Floats) -> None:
@@ -52,8 +52,9 @@ def require_channels(place: str, frequency_mhz: Floats) -> None:
     bad = np.flatnonzero(~(np.isfinite(frequency_mhz) & (frequency_mhz > 0)))
     if bad.size:
         raise BadInputError(f"{place}: frequency_mhz, channel {bad[0]}", "finite MHz > 0", f"{frequency_mhz[bad[0]]:g}")
-    if frequency_mhz[-1] > HIGHEST_MHZ:
-        raise BadInputError(f"{place}: frequency_mhz", "MHz", f"{frequency_mhz[-1]:g}, which looks like Hz")
+    if not LOWEST_MHZ <= frequency_mhz[-1] <= HIGHEST_MHZ:
+        unit = "GHz" if frequency_mhz[-1] < LOWEST_MHZ else "Hz"
+        raise BadInputError(f"{place}: frequency_mhz", "MHz", f"{frequency_mhz[-1]:g}, which looks like {unit}")
     if np.any(np.diff(frequency_mhz) <= 0):
         k = int(np.flatnonzero(np.diff(frequency_mhz) <= 0)[0])
         raise BadInputError(

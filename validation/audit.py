@@ -4,7 +4,7 @@ A station has 12 to 256 antennas, is seen for a sidereal day, an hour or a minut
 its antenna and the gains of its integrations are not what the audit believes, nor are sky and antenna among the models
 whose differences it takes for its errors. The fault lies in the record (letters,
 cable, arms, latitude), in the clock, in the unit, or in one path; it is made from the recorded values here, and shares
-no code with the audit.
+no code with the audit. The parts `unlike` have antennas that differ by as much as measured ones do, or not at all.
 """
 
 from __future__ import annotations
@@ -44,6 +44,8 @@ CHECKS = {
     "dead": ("dead", "deaf"), "deaf": ("dead", "deaf"), "clipped": ("clipped", "oscillating"),
 }  # fmt: skip
 """Names that are right for a fault: a clipped path is loud, and only hours show that it is clipped."""
+UNLIKE = (0.0, 0.05, 0.10, 0.17)
+"""How unlike antennas of a station are, r.m.s. of ln P: as at the better and the worse of two stations of the LWA."""
 ARMS_WITHIN_DEG, CLOCK_WITHIN_MIN, CLOCK_SIGMAS = 5.0, 2.0, 3.0
 
 
@@ -196,6 +198,12 @@ def tell_paths(seed: int) -> Row:
     return tell_fault(length, seed, PATHS[seed // len(LENGTHS) % len(PATHS)]) | {"length": length}
 
 
+def tell_unlike(length: str, kinds: Sequence[str], seed: int) -> Row:
+    """A station of antennas as unlike as each of `UNLIKE` in turn, and one of the kinds."""
+    unlike, kind = UNLIKE[seed % len(UNLIKE)], kinds[seed // len(UNLIKE) % len(kinds)]
+    return tell_fault(length, seed, kind, unlike) | {"unlike": unlike}
+
+
 def _count(rows: Sequence[Row], outcome: str) -> tuple[int, int]:
     return sum(row["outcome"] == outcome for row in rows), len(rows)
 
@@ -212,6 +220,22 @@ def judge_common(rows: Sequence[Row]) -> list[Found]:
 
 def judge_paths(rows: Sequence[Row]) -> list[Found]:
     return [rate_of(length, *_count([row for row in rows if row["length"] == length], "right")) for length in LENGTHS]
+
+
+def judge_unlike(rows: Sequence[Row]) -> list[Found]:
+    """What is said of healthy stations, by how unlike their antennas are."""
+    found = []
+    for unlike in UNLIKE:
+        said = [" ".join(row["said"]) for row in rows if row["unlike"] == unlike]
+        found.append(rate_of(f"false_{unlike:.0%}".rstrip("%"), sum(bool(one) for one in said), len(said)))
+        oscillates = sum("oscillates" in one for one in said)
+        found.append(rate_of(f"oscillates_{unlike:.0%}".rstrip("%"), oscillates, len(said)))
+    return found
+
+
+def judge_unlike_paths(rows: Sequence[Row]) -> list[Found]:
+    by_size = {unlike: [row for row in rows if row["unlike"] == unlike] for unlike in UNLIKE}
+    return [rate_of(f"path_{unlike:.0%}".rstrip("%"), *_count(some, "right")) for unlike, some in by_size.items()]
 
 
 def judge_day(rows: Sequence[Row]) -> list[Found]:
@@ -245,4 +269,7 @@ PARTS = (
     Part("paths", tell_paths, judge_paths, 1350, by("kind")),
     Part("hour", partial(tell_audit, "hour"), judge_common, 3000, by("kind")),
     Part("minute", partial(tell_audit, "minute"), judge_common, 3000, by("kind")),
+    Part("unlike", partial(tell_unlike, "minute", ("nothing",)), judge_unlike, 1600, by("unlike"), ("false_17",)),
+    Part("unlike-day", partial(tell_unlike, "day", ("nothing",)), judge_unlike, 80, by("unlike")),
+    Part("unlike-paths", partial(tell_unlike, "minute", PATHS), judge_unlike_paths, 480, by("unlike", "kind")),
 )

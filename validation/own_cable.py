@@ -4,11 +4,13 @@ A campaign is a year of an array with cables of 50, 80 and 115 m, simulated by t
 own, every station a response of its own. One station is simulated but not given to the fit. Each path is then told C by
 its own curve, by its station's, by the array's, and in that one station by that of an array without a spectrum of it.
 An error counts over all paths and channels. The errors of one campaign have much in common, so a campaign is one draw.
+The part `unlike` has fewer antennas, which differ by as much as measured ones do, or not at all.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -23,9 +25,13 @@ from lbacal_twin.nuisances import Nuisances
 from lbacal_twin.settings import TwinSettings
 from validation.machinery.claims import Found, mean_of
 from validation.machinery.parts import Part, Row
+from validation.machinery.tables import by
 from validation.superterp import power_of, superterp
 
 SETTINGS = TwinSettings(stations=("CS002", "CS003", "CS004", "CS005", "CS006", "CS007"), events_per_year=300)
+FEWER = replace(SETTINGS, stations=SETTINGS.stations[:4], antennas=16, events_per_year=200)
+UNLIKE = (0.0, 0.05, 0.10, 0.17)
+"""How unlike antennas of a station are, r.m.s. of ln P: as at the better and the worse of two stations of the LWA."""
 NUISANCES = Nuisances(missing=0.05, departures=0.01)
 CABLES = ("50", "80", "115")
 FITTED = ("antenna", "station", "array")
@@ -33,15 +39,21 @@ SCOPES = ("own", "station", "array", "silent")
 """Whose curve a path is told; `silent` is that of an array without data of its station."""
 
 
-def tell_campaign(settings: TwinSettings, seed: int) -> Row:
+def tell_campaign(settings: TwinSettings, seed: int, mismatch: float = 0.0) -> Row:
     """Simulate a campaign, fit it without one station, and compare what every path is told with the truth."""
     instrument, sky_power = superterp(), power_of()
     rng = np.random.default_rng([50_80_115, seed])
-    campaign = simulate_campaign(settings, instrument, sky_power, rng, nuisances=NUISANCES)
+    campaign = simulate_campaign(settings, instrument, sky_power, rng, nuisances=replace(NUISANCES, mismatch=mismatch))
     silent = settings.stations[seed % len(settings.stations)]
     spectra = campaign.spectra.select(campaign.spectra.station != silent)
     reports = {name: fit_calibration(spectra, Simulation(instrument, sky_power), name) for name in FITTED}
     return compare_scopes(reports, campaign, silent)
+
+
+def tell_unlike(seed: int) -> Row:
+    """A campaign with antennas as unlike as each of `UNLIKE` in turn."""
+    unlike = UNLIKE[seed % len(UNLIKE)]
+    return tell_campaign(FEWER, seed, unlike) | {"unlike": unlike}
 
 
 def compare_scopes(reports: Mapping[str, FitReport], campaign: Campaign, silent: str) -> Row:
@@ -115,4 +127,18 @@ def judge(rows: Sequence[Row]) -> list[Found]:
     ]
 
 
-PARTS = (Part("superterp", partial(tell_campaign, SETTINGS), judge, 96, headlines=("own_2",)),)
+def judge_unlike(rows: Sequence[Row]) -> list[Found]:
+    """What lies within two sigma, and the error that a path is told, by how unlike antennas are."""
+    found = []
+    for unlike in UNLIKE:
+        some, end = [row for row in rows if row["unlike"] == unlike], f"{unlike:.0%}".rstrip("%")
+        asked = [(f"{scope}_{end}", scope, "within_2") for scope in ("own", "station", "array")]
+        asked.append((f"told_{end}", "station", "told"))
+        found += [mean_of(key, np.array([row[scope]["all"][of] for row in some]), "%") for key, scope, of in asked]
+    return found
+
+
+PARTS = (
+    Part("superterp", partial(tell_campaign, SETTINGS), judge, 96, headlines=("own_2",)),
+    Part("unlike", tell_unlike, judge_unlike, 64, by("unlike"), ("station_17",)),
+)

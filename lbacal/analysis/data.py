@@ -96,7 +96,7 @@ class BackgroundSpectra(Spectra):
 
     def __repr__(self) -> str:
         """The title, and a row a station and dipole."""
-        return repr(self.shown)
+        return "\n".join([Spectra.__repr__(self), *self.shown.lines])
 
     def _repr_html_(self) -> str:
         return self.shown._repr_html_()
@@ -113,7 +113,11 @@ def _draw_powers(axes: Any, frequency_mhz: Floats, powers: Mapping[str, Floats])
 
 def spectra_of(data: Spectra | str | Path) -> Spectra:
     """The spectra, read where they are a file."""
-    return data if isinstance(data, Spectra) else read_selected([Path(data)], Selection(), time.time())
+    if isinstance(data, Spectra):
+        return data
+    if not isinstance(data, str | Path):
+        raise BadInputError("spectra", "those of lbacal.read, or the name of a file", type(data).__name__)
+    return read_selected([Path(data)], Selection(), time.time())
 
 
 def read(
@@ -140,11 +144,14 @@ def read(
     >>> import lbacal
     >>> lbacal.read("2014/", since="2014-03-01", stations=["CS002"]).save("spring.h5")  # doctest: +SKIP
     """
-    paths = [Path(one) for one in ([source] if isinstance(source, str | Path) else source)]
+    named = [source] if isinstance(source, str | Path) else list(source or ())
+    if not named:
+        raise BadInputError("read", "a file or a folder, or a list of them", "none")
+    paths = [Path(one) for one in named]
     if len(paths) == 1 and holds_curves(paths[0]):
         return make_table(read_calibrations(paths[0]))
     first, last = (None if at is None else format_time(at) for at in (since, until))
-    selection = parse_selection(first, last, None, stations, prefix="")
+    selection = parse_selection(first, last, None, [stations] if isinstance(stations, str) else stations, prefix="")
     return BackgroundSpectra.of(read_selected(find_spectra_files(paths), selection, time.time(), tell))
 
 
@@ -268,7 +275,11 @@ def simulate(
         raise MissingExtraError("lbacal.simulate", "twin") from error
     simulation = simulation_of(instrument)
     core = simulation.instrument
-    chosen = stations or sorted({record.station for record in core.antennas})[:1]
+    if seed < 0:
+        raise BadInputError("seed", "a whole number, 0 or more", f"{seed}")
+    chosen = ([stations] if isinstance(stations, str) else stations) or sorted(
+        {record.station for record in core.antennas}
+    )[:1]
     settings = TwinSettings(events_per_year=events, antennas=antennas, stations=tuple(chosen))
     campaign = simulate_campaign(settings, core, simulation.sky_power, np.random.default_rng(seed))
     paths = [

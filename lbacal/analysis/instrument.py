@@ -85,6 +85,14 @@ class Instrument:
         sky: str | None = None,
         sites: Mapping[str, Site] | None = None,
     ) -> None:
+        for place, value, kind, example in (
+            ("site", site, Site, "lbacal.Site(52.9, 6.9)"),
+            ("antenna", antenna, Antenna, "lbacal.Antenna('hamaker', {'X': 225.0, 'Y': 135.0})"),
+            ("antenna: arms", getattr(antenna, "arms", None), Mapping, "{'X': 225.0, 'Y': 135.0}"),
+            ("chain", chain, Chain, "lbacal.Chain([20 * u.dB])"),
+        ):
+            if not isinstance(value, kind):
+                raise BadInputError(place, f"one such as {example}", type(value).__name__)
         frequency_mhz = convert_numbers(frequency, u.MHz)
         arms = {letter: arm if isinstance(arm, tuple) else (arm, 0.0) for letter, arm in antenna.arms.items()}
         tilts = {letter: convert_number(tilt, u.deg) for letter, (_, tilt) in arms.items()}

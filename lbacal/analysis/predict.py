@@ -74,6 +74,8 @@ def draw_together(predictions: Sequence[Prediction], count: int, seed: int = 1) 
     >>> bool(np.corrcoef(one.mean(axis=1), other.mean(axis=1))[0, 1] > 0.2)
     True
     """
+    if not isinstance(count, int | np.integer) or count < 1:
+        raise BadInputError("count", "a number of events, 1 or more", repr(count))
     rng = np.random.default_rng(seed)
     gains = _draw_stations(predictions, count, rng)
     return [
@@ -109,6 +111,8 @@ def draw_traces(
 
 def _draw_stations(predictions: Sequence[Prediction], count: int, rng: np.random.Generator) -> dict[str, Floats]:
     """Standard normal numbers of events that the paths of a station have in common, by its name."""
+    if isinstance(predictions, Prediction):
+        raise BadInputError("predictions", "a list of them", "one")
     return {name: rng.standard_normal(count) for name in sorted({one.content["station"] for one in predictions})}
 
 
@@ -150,7 +154,13 @@ def predict(
     celsius = temperature
     if isinstance(temperature, u.Quantity):
         celsius = temperature.to_value(u.deg_C, u.temperature())
-    path = {"station": station, "antenna": antenna, "dipole": dipole}
+    path: dict[str, Any] = {"station": station, "antenna": antenna, "dipole": dipole}
+    for name, kind, expected in (
+        ("station", str, "a name"), ("antenna", int | np.integer, "a number"), ("dipole", str, "a letter"),
+    ):  # fmt: skip
+        if not isinstance(path[name], kind):
+            raise BadInputError(name, expected, repr(path[name]))
+    path["antenna"] = antenna = int(antenna)
     instant = parse_instant("at", format_time(at))
     if with_ is not None and (source is None or isinstance(source, Calibration)):
         raise BadInputError("with_", "an instrument by itself: a calibration has its causes", "a calibration")

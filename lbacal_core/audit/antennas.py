@@ -28,6 +28,9 @@ DEAF_SHARE, DEAF_LEVEL = 0.6, -0.25
 PEAK, PEAK_SHARE = np.log(2.0), 1 / 3
 """An oscillating path exceeds its own level by a factor 2 in fewer than a third of its channels, and there by more than
 the antennas of its station differ; or it is loud."""
+RISE = 2.0
+"""By what factor more a path must exceed there that is still high at an end of the band. So rises what an antenna hands
+over with its impedance (lbacal_twin/mismatch.csv), and more upwards than downwards where noise dilutes it."""
 LOUD = np.log(3.0)
 CLIPPED_SHARE = 0.7
 """A clipped path is loud and follows less than this of the others' change with time."""
@@ -103,13 +106,16 @@ def find_ill_paths(station: AuditedStation, comparison: Comparison) -> tuple[lis
     middle, high = np.quantile(others, [0.5, NINTH], axis=0)
     above = np.maximum((high - middle) / ndtri(NINTH), spread(comparison.profile))
     tallest = np.maximum(PEAK, OUTLYING_SIGMA * above)
+    # few forms of unlike antennas add up to an r.m.s. that scatters as the modulus of one normal number does
+    of_others = np.sort(np.where(np.isfinite(rms), rms, np.nanmedian(rms, axis=0)), axis=0)[:-1]
+    oddest = OUTLYING_SIGMA * np.maximum(typical_rms, np.quantile(of_others, NINTH, axis=0) / ndtri((1 + NINTH) / 2))
     centre = np.nanmedian(comparison.level, axis=0)
     for a, d in np.ndindex(*comparison.level.shape):
         level = comparison.level[a, d] - centre[d]
         if not np.isfinite(level):
             continue
-        sigma, shape_ratio = float(level / level_spread[d]), float(rms[a, d] / typical_rms[d])
-        kind = _name(comparison, a, d, float(level), sigma, shape_ratio, tallest[d])
+        is_odd = bool(rms[a, d] > max(oddest[d], OUTLYING / 2))
+        kind = _name(comparison, a, d, float(level), float(level / level_spread[d]), tallest[d], is_odd=is_odd)
         if kind is None or (kind == "outlying" and not is_comparable[a]):
             continue
         is_ill[a, d] = True
@@ -139,15 +145,16 @@ _SENTENCES = {
 
 
 def _name(
-    comparison: Comparison, a: int, d: int, level: float, sigma: float, shape_ratio: float, tallest: Floats
+    comparison: Comparison, a: int, d: int, level: float, sigma: float, tallest: Floats, *, is_odd: bool
 ) -> str | None:
     """The first kind whose description a path meets, or None."""
     follows = float(np.nan_to_num(comparison.follows[a, d], nan=1.0))
     receives = min(float(comparison.shares[a, d]), follows)
     profile = comparison.profile[a, d]
     is_far = abs(sigma) > OUTLYING_SIGMA
-    is_peaked = bool(np.any(profile > tallest)) and np.mean(profile > PEAK / 2) < PEAK_SHARE
-    is_odd = shape_ratio > OUTLYING_SIGMA and np.sqrt(np.mean(profile**2)) > OUTLYING / 2
+    is_rise = max(profile[0], profile[-1]) > profile.max() / 2
+    highest = profile / RISE if is_rise else profile
+    is_peaked = bool(np.any(highest > tallest)) and np.mean(profile > PEAK / 2) < PEAK_SHARE
     kinds = {
         "dead": level < DEAD_LEVEL,
         "deaf": level < DEAF_LEVEL and is_far and receives < DEAF_SHARE,

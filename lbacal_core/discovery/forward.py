@@ -23,6 +23,7 @@ from lbacal_core.discovery.adopted import REFERENCE_C, at_reference, list_hypoth
 from lbacal_core.discovery.hypothesis import Hypothesis
 from lbacal_core.discovery.refit import power_ratio
 from lbacal_core.discovery.station import Station, gather_stations
+from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.chain import ChainTerms
 from lbacal_core.instrument.sidereal import SIDEREAL_DAY_S
@@ -31,6 +32,8 @@ from lbacal_core.spectra.spectra import Spectra
 
 INSTANTS = 96
 """Instants of a sidereal day from the one asked for on: a compression acts by the power over its mean."""
+COLDEST_C, HOTTEST_C = -90.0, 60.0
+"""Air on the ground has been colder nowhere, and hotter nowhere (WMO, World Weather and Climate Extremes Archive)."""
 UNUSED = "no cause of the model follows the temperature: it changes nothing"
 
 
@@ -104,6 +107,8 @@ def _act_at(
     curve: CalibrationCurve, simulation: Simulation, time_unix: float, temperature_c: float | None
 ) -> Acting | None:
     """What the causes make of the chain of a path at an instant; None where there is nothing to be said."""
+    if temperature_c is not None and not COLDEST_C <= temperature_c <= HOTTEST_C:
+        raise BadInputError("temperature", f"deg C, {COLDEST_C:g} to {HOTTEST_C:g}", f"{temperature_c:g}")
     times = np.linspace(time_unix, time_unix + SIDEREAL_DAY_S, INSTANTS, endpoint=False)
     named: Sequence[tuple[AdoptedCause, Hypothesis]] = ()
     if simulation.causes.of_stations([str(curve.station)]).causes:

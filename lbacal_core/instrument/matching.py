@@ -10,15 +10,14 @@ T_0 = 290 K (Haus et al. 1960, Proc. IRE 48, 69, with T = T_0 (F - 1)).
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.errors import BadInputError, MissingExtraError, UnreadableFileError
+from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, interpolate
+from lbacal_core.instrument.touchstone import read_touchstone
 
 Impedance = NDArray[np.complex128]
 """Ohm, shape (freq,)."""
@@ -73,18 +72,3 @@ def read_impedance(path: Path, frequency_mhz: Floats) -> Impedance:
     if np.any(np.abs(s11) >= 1.0):
         raise BadInputError(f"{path}: S11", "a reflection below 1", f"{np.abs(s11).max():g}")
     return interpolate_impedance(nu, reference * (1.0 + s11) / (1.0 - s11), frequency_mhz, str(path))
-
-
-def read_touchstone(path: Path) -> tuple[Floats, Any, Any]:
-    """Frequencies, MHz, S parameters, shape (row, port, port), and the reference impedance of port 1, shape (row,)."""
-    try:
-        import skrf
-    except ImportError as error:
-        raise MissingExtraError(f"{path}, a Touchstone file,", "touchstone") from error
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            network = skrf.Network(str(path))
-            return np.asarray(network.f, dtype=float) / 1e6, np.asarray(network.s), np.asarray(network.z0)[:, 0]
-    except (OSError, ValueError, IndexError, KeyError, TypeError, NotImplementedError) as error:
-        raise UnreadableFileError(f"{path}: expected a Touchstone file ({error})") from error

@@ -23,7 +23,8 @@ import numpy as np
 from lbacal_core.errors import BadInputError, near_name
 from lbacal_core.foreign import parse_name, parse_number, parse_numbers
 from lbacal_core.grids import Floats, interpolate
-from lbacal_core.instrument.matching import Impedance, match_power, read_impedance, read_touchstone, require_passive
+from lbacal_core.instrument.matching import Impedance, match_power, read_impedance, require_passive
+from lbacal_core.instrument.touchstone import read_touchstone
 
 SEEN = ("antenna", "ground", "ice")
 """Kinds that the antenna sees or is: `antenna` adds the same to P_sky at each frequency, the others are warm bodies."""
@@ -168,7 +169,6 @@ def fill_fields(content: Mapping[str, Any], stages: Sequence[Stage], channels: i
 FIELDS = (
     "name", "kind", "gain", "gain_db", "noise_temperature_k", "noise_temperature_error_k", "solid_angle_sr",
 )  # fmt: skip
-ONE_PORT, TWO_PORTS = (1, 1), (2, 2)
 
 
 def parse_stages(content: Any, frequency_mhz: Floats, place: str, folder: Path | None) -> tuple[Stage, ...]:
@@ -274,9 +274,7 @@ def read_touchstone_gain(path: Path, frequency_mhz: Floats) -> Floats:
     A file of one port is an antenna, and 1 - |S11|^2 the share of its power that the reference impedance takes.
     """
     nu, s, _ = read_touchstone(path)
-    if s.shape[1:] not in (ONE_PORT, TWO_PORTS):
-        raise BadInputError(str(path), "a Touchstone file of one port (.s1p) or two (.s2p)", f"{s.shape[-1]}")
-    is_antenna = s.shape[1:] == ONE_PORT
+    is_antenna = s.shape[-1] == 1
     share = 1.0 - np.abs(s[:, 0, 0]) ** 2 if is_antenna else np.abs(s[:, 1, 0]) ** 2
     gain = _require_positive(share, f"{path}: {'1 - |S11|^2' if is_antenna else 'S21'}")
     return np.exp(interpolate(nu, np.log(gain), frequency_mhz, str(path)))

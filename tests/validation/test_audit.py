@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from validation.audit import KINDS, PARTS, tell_audit, tell_fault, tell_paths
+from validation.audit import KINDS, PARTS, PATHS, tell_audit, tell_fault, tell_paths, tell_unlike
 from validation.machinery.parts import Row
 from validation.machinery.records import verdicts_of
 
@@ -73,3 +73,15 @@ def test_a_healthy_station_of_antennas_as_unlike_as_the_worst_measured_is_left_a
     assert tell_fault("day", seed, "nothing", 0.17)["said"] == []
     broken = tell_fault("day", seed, "oscillating", 0.17)
     assert broken["outcome"] == "right", broken["said"]
+
+
+def test_the_parts_of_unlike_antennas_count_by_their_size() -> None:
+    healthy = [tell_unlike("minute", ("nothing",), seed) for seed in range(4)]
+    assert [(row["kind"], row["unlike"]) for row in healthy] == [("nothing", size) for size in (0.0, 0.05, 0.1, 0.17)]
+    rash = [*healthy[:3], healthy[3] | {"said": ["antenna 1 X oscillates"]}] * 20
+    found = verdicts_of("audit", "unlike", rash)
+    assert [found[key] for key in ("false_17", "false_0")] == ["refuted", "undecided"]
+    broken = [tell_unlike("minute", PATHS, seed) for seed in (3, 7)]
+    assert [(row["kind"], row["unlike"], row["outcome"]) for row in broken] == [
+        ("dead", 0.17, "right"), ("deaf", 0.17, "right"),
+    ]  # fmt: skip

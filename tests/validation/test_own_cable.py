@@ -9,7 +9,7 @@ import pytest
 
 from validation.machinery.parts import Row
 from validation.machinery.records import verdicts_of
-from validation.own_cable import CABLES, SCOPES, SETTINGS, tell_campaign
+from validation.own_cable import CABLES, SCOPES, SETTINGS, tell_campaign, tell_unlike
 
 
 @pytest.fixture(scope="module")
@@ -46,3 +46,18 @@ def test_the_judgement_refutes_errors_that_are_too_small_and_curves_of_other_cab
         row["station"]["50"] = {**row["station"]["50"], "offset": 0.4}
     verdict = verdicts_of("own_cable", "superterp", boasting)
     assert [verdict[key] for key in ("own_1", "own_2", "offset_50")] == ["refuted"] * 3
+
+
+def test_a_path_among_unlike_antennas_is_told_a_larger_error() -> None:
+    alike, unlike = tell_unlike(0), tell_unlike(3)
+    assert (alike["unlike"], unlike["unlike"]) == (0.0, 0.17)
+    assert unlike["station"]["all"]["told"] > 2 * alike["station"]["all"]["told"]
+    assert unlike["own"]["all"]["told"] < 1.5 * alike["own"]["all"]["told"], "its own curve knows the antenna"
+    assert 0.85 < unlike["station"]["all"]["within_2"] < 1.0
+    refuted = [unlike | {"station": {"all": {**unlike["station"]["all"], "within_2": 0.7}}}] * 12
+    assert (
+        verdicts_of("own_cable", "unlike", [alike | {"unlike": size} for size in (0.0, 0.05, 0.1)] * 12 + refuted)[
+            "station_17"
+        ]
+        == "refuted"
+    )

@@ -320,6 +320,5 @@ def test_a_list_that_is_no_chain_is_refused_as_in_a_file():
 
 
 def test_a_touchstone_file_is_a_gain(tmp_path):
-    pytest.importorskip("skrf")
     (tmp_path / "f.s2p").write_text("# MHz S DB R 50\n40 -20 0 -20 0 -60 0 -20 0\n90 -20 0 -20 0 -60 0 -20 0\n")
     np.testing.assert_allclose(lbacal.Chain([str(tmp_path / "f.s2p")]).receiver_gain(NU_OF_CHAIN), 0.01)

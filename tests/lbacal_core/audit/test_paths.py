@@ -120,6 +120,25 @@ def test_a_path_that_does_not_work_is_named_and_no_other(station, kind):
     assert np.argwhere(is_ill).tolist() == [[ANTENNA, DIPOLE]]
 
 
+def test_a_rise_to_the_end_of_the_band_must_be_twice_as_tall_as_a_peak(station):
+    nu = station.frequency_mhz
+    for centre, factor, kinds in ((55.0, 2.5, ["oscillating"]), (30.0, 2.5, []), (80.0, 6.0, ["oscillating"])):
+        power = station.power.copy()
+        power[2, 0] *= factor ** np.exp(-0.5 * ((nu - centre) / 1.5) ** 2)
+        spoiled = replace(station, power=power)
+        assert [line.check for line in find_ill_paths(spoiled, compare_paths(spoiled))[0]] == kinds, (centre, factor)
+
+
+@pytest.mark.parametrize(("sizes", "kinds"), [([0.02, 0.1, 0.13], []), ([0.02, 0.02, 0.13], ["outlying"] * 2)])
+def test_a_path_is_odd_where_the_others_scatter_less_and_not_where_two_do_as_much(station, sizes, kinds):
+    """Antennas that are unlike in one form have a median r.m.s. that is small beside that of some of them."""
+    form = np.sqrt(2.0) * np.cos(np.linspace(0.0, 2 * np.pi, station.frequency_mhz.size))
+    profile = np.outer([0.01, -0.01, 0.01, *sizes], form)[:, None, :].repeat(2, axis=1)
+    alike = replace(station, cables=np.full(6, "80"))
+    lines, _ = find_ill_paths(alike, replace(compare_paths(alike), profile=profile))
+    assert [line.check for line in lines] == kinds
+
+
 def test_a_working_path_follows_the_others_wholly(station):
     comparison = compare_paths(station)
     np.testing.assert_allclose(comparison.follows, 1.0, atol=1e-6)

@@ -94,7 +94,6 @@ def test_a_gain_is_a_number_one_a_channel_or_a_table_in_power_or_in_decibel(cont
 
 
 def test_a_touchstone_file_beside_the_instrument_gives_the_gain_from_port_1_to_port_2(tmp_path):
-    pytest.importorskip("skrf")
     (tmp_path / "filter.s2p").write_text(TOUCHSTONE.format(-20, -10, -4))
     np.testing.assert_allclose(gain_of({"gain": "filter.s2p"}, tmp_path), [10**-1.5, 0.1, 10**-0.6])
     content = {
@@ -112,7 +111,6 @@ def test_a_touchstone_file_beside_the_instrument_gives_the_gain_from_port_1_to_p
 
 
 def test_a_touchstone_file_of_one_port_is_an_antenna_and_one_of_none_or_three_is_refused(tmp_path):
-    pytest.importorskip("skrf")
     (tmp_path / "one.s1p").write_text("# MHz S DB R 75\n40 -20 0\n90 -20 0\n")
     np.testing.assert_allclose(gain_of({"gain": "one.s1p"}, tmp_path), 0.99)
     for antenna in ("one.s1p", 75 * 1.1 / 0.9):
@@ -120,7 +118,7 @@ def test_a_touchstone_file_of_one_port_is_an_antenna_and_one_of_none_or_three_is
     with pytest.raises(BadInputError, match=r"gain\.load: expected an impedance in ohm whose real part is above 0"):
         gain_of({"gain": {"antenna": "one.s1p", "load": -50}}, tmp_path)
     (tmp_path / "three.s3p").write_text("# MHz S DB R 50\n" + "".join(f"{nu} {'-20 0 ' * 9}\n" for nu in (40, 90)))
-    with pytest.raises(BadInputError, match=r"one port \(\.s1p\) or two \(\.s2p\), found 3"):
+    with pytest.raises(BadInputError, match=r"one port \(\.s1p\) or two \(\.s2p\), found '\.s3p'"):
         gain_of({"gain": "three.s3p"}, tmp_path)
     (tmp_path / "no.s2p").write_text("nothing of the kind\n")
     with pytest.raises(UnreadableFileError, match="expected a Touchstone file"):
