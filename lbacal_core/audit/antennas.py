@@ -190,7 +190,8 @@ def find_wrong_cables(
     """Name antennas that another cable describes far better; and the cable of each, by its row.
 
     A cable name that other antennas have is represented by their median: it holds the noise behind the cable too. Where
-    none has it, its loss must do, with what that noise hides of the loss as an error.
+    none has it, its loss must do, with what that noise hides of the loss as an error. Both dipoles of an antenna have
+    one cable: where one of them by itself speaks against another, something is wrong with a path.
     """
     axis = station.frequency_mhz - station.frequency_mhz.mean()
     axis = axis / np.sqrt(np.mean(axis**2)) if axis.size > 1 else axis
@@ -209,11 +210,11 @@ def find_wrong_cables(
     lines = []
     found = {}
     for a, own in enumerate(station.cables):
-        best = min((name for name in distances if name != own), key=lambda name: distances[name][a], default=None)
-        if best is None or not np.isfinite(distances[best][a]):
+        best = min((name for name in distances if name != own), key=lambda name: distances[name][0, a], default=None)
+        if best is None or not np.isfinite(distances[best][0, a]):
             continue
-        odds = float(distances[own][a] - distances[best][a]) / 2
-        if odds < LEAST_LOG_ODDS or distances[best][a] > FITS_SIGMA**2:
+        odds, *of_dipoles = ((distances[own] - distances[best])[:, a] / 2).tolist()
+        if odds < LEAST_LOG_ODDS or distances[best][0, a] > FITS_SIGMA**2 or min(of_dipoles) < 0:
             continue
         found[a] = best
         sentence = f"antenna {station.antennas[a]} has the cable {best}, not {own} as on record"
@@ -222,8 +223,13 @@ def find_wrong_cables(
 
 
 def _distance(difference: Floats, axis: Floats, sigma: Floats) -> Floats:
-    """Squared distance of level and slope in standard deviations (shape (2,) or (antenna, 2)), shape (antenna,)."""
-    return np.asarray(np.sum((_level_and_slope(difference, axis) / sigma) ** 2, axis=1))
+    """Squared distance of level and slope in standard deviations (shape (2,) or (antenna, 2)), (1 + dipole, antenna).
+
+    The first is that of the mean over the dipoles, of which one that is not there is as the other.
+    """
+    own = np.where(np.isnan(difference), np.nanmean(difference, axis=1, keepdims=True), difference)
+    parts = [difference, *np.split(own, own.shape[1], axis=1)]
+    return np.stack([np.sum((_level_and_slope(part, axis) / sigma) ** 2, axis=1) for part in parts])
 
 
 def _level_and_slope(difference: Floats, axis: Floats) -> Floats:
