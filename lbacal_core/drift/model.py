@@ -11,7 +11,7 @@ from scipy.special import chdtrc, chdtri, ndtri
 from lbacal_core.data.prior import read_prior
 from lbacal_core.drift.events import find_months
 from lbacal_core.grids import Floats
-from lbacal_core.linear import find_whitener, invert_symmetric, solve_symmetric
+from lbacal_core.linear import find_whitener, invert_symmetric
 
 # The linear model of a monthly series: an offset, a season, a slope and steps, fitted to many series at once.
 #
@@ -300,8 +300,10 @@ def estimate_lasting(
 
 
 def _minus_log_likelihood(covariance: Floats, y: Floats) -> float:
-    chi2 = np.sum(y * solve_symmetric(covariance, y[..., None])[..., 0])
-    return float(chi2 + np.sum(np.linalg.slogdet(covariance)[1]))
+    # the noise of events keeps every eigenvalue far from 0
+    pivots = np.diagonal(np.linalg.cholesky(covariance), axis1=-2, axis2=-1)
+    chi2 = np.sum(y * np.linalg.solve(covariance, y[..., None])[..., 0])
+    return float(chi2 + 2.0 * np.sum(np.log(pivots)))
 
 
 def invert_covariance(events: Floats, lasting: Lasting, months: NDArray[np.datetime64]) -> Floats:
