@@ -180,15 +180,18 @@ class JobStore(Store):
         """Take a part that is queued, or whose worker has been silent for longer than its lease.
 
         Parts that need other inputs than the worker's are left to others. Due work comes first: however much somebody
-        asks for, the night is not behind it; and of it what C follows from, before investigations. Leases are counted
-        by the database's clock.
+        asks for, the night is not behind it; and of it what C follows from, before investigations. Jobs that were asked
+        for take turns, so that nobody waits for all of a large one. Leases are counted by the database's clock.
         """
         now = read_database_clock(self._connection)
         is_abandoned = and_(job_part.c.state == RUNNING, job_part.c.lease_until_us < now)
         free = select(job_part.c.id, job_part.c.attempts).join(job, job.c.id == job_part.c.job)
         free = free.where(IS_OPEN, or_(job_part.c.state == QUEUED, is_abandoned))
         free = free.where(or_(job_part.c.inputs.is_(None), job_part.c.inputs == inputs))
-        free = free.order_by(job.c.due_name.is_(None), job.c.kind == "investigation", job_part.c.id).limit(1)
+        own = job_part.alias()
+        first = select(func.min(own.c.id)).where(own.c.job == job.c.id).scalar_subquery()
+        turn = job.c.due_name.is_(None), job.c.kind == "investigation", job_part.c.id - first, job_part.c.id
+        free = free.order_by(*turn).limit(1)
         found = self._connection.execute(free.with_for_update(skip_locked=True, of=job_part)).one_or_none()
         if found is None:
             return None

@@ -13,7 +13,7 @@ from lbacal_core.curves.validity import Instant
 from lbacal_core.errors import BadInputError
 from lbacal_core.provenance import MODEL_VERSION, canonical_json, hash_arrays
 from lbacal_core.spectra.spectra import Spectra
-from service.errors import ConflictError, TooLargeError, TooManyError
+from service.errors import ConflictError, TooManyError
 from service.storage.database import Database, Stores
 from service.storage.jobs import Order
 from service.storage.keys import Deed
@@ -26,7 +26,7 @@ RETRY_S = 60.0
 
 @dataclass(frozen=True)
 class Limits:
-    """What one key may ask for: open parts at once, and the longest window of a fit."""
+    """What one key may ask for: open parts beside what it asks for, and the longest window of a fit."""
 
     open_parts: int
     window_days: float
@@ -42,14 +42,8 @@ def read_window(since: str, until: str) -> tuple[Instant, Instant]:
 
 def place_order(stores: Stores, order: Order, limits: Limits, clock: Callable[[], Instant]) -> int:
     """Enqueue a job that somebody asked for, and return its number."""
-    if len(order.parts) > limits.open_parts:
-        raise TooLargeError(
-            f"the order has {len(order.parts)} parts (one a station, of an investigation one a station and year), and "
-            f"{limits.open_parts} fit (LBACAL_MAX_OPEN_PARTS): ask for single stations or a shorter window, one after "
-            "the other"
-        )
     waiting = stores.jobs.count_open(order.by)
-    if waiting + len(order.parts) > limits.open_parts:
+    if waiting and waiting + len(order.parts) > limits.open_parts:  # a larger order is taken when nothing else waits
         raise TooManyError(
             f"{waiting} parts of jobs of {order.by} wait or run, and {len(order.parts)} more would be above "
             f"{limits.open_parts} (LBACAL_MAX_OPEN_PARTS)", RETRY_S

@@ -9,6 +9,7 @@ from fastapi.testclient import TestClient
 from lbacal_core.causes.model import AdoptedCause, Model
 from service.factory import Factory
 from service.storage.models import ADOPTED, ModelChange
+from service.usecases.orders import name_inputs
 from tests.service.conftest import add_spectra, bearer, flat_spectra, like, served, work
 
 REFIT = {"scope": "antenna", "since": "2014-01-01", "until": "2015-01-01", "reason": "test"}
@@ -33,16 +34,20 @@ def test_an_order_that_could_never_fit_was_told_to_try_again(
     filled: Factory, route: str, body: dict[str, Any], parts: int
 ) -> None:
     with like(filled, max_open_parts=parts - 1) as small, served(small) as http:
-        refused = http.post(f"/v1/{route}", json=body)
-        assert (refused.status_code, refused.json()["type"]) == (413, "urn:lbacal:too_large")
-        assert f"the order has {parts} parts" in refused.json()["detail"]
-        assert f"and {parts - 1} fit (LBACAL_MAX_OPEN_PARTS): ask for single stations" in refused.json()["detail"]
-        assert "retry-after" not in refused.headers
-        assert http.get("/v1/jobs").json()["jobs"] == []
-    with like(filled, max_open_parts=parts) as enough, served(enough) as http:
         assert http.post(f"/v1/{route}", json=body).status_code == 202
         full = http.post(f"/v1/{route}", json=body)
         assert (full.status_code, "retry-after" in full.headers) == (429, True), "there is room again once these ended"
+        assert http.get("/v1/status").json()["parts"]["queued"] == parts
+
+
+def test_a_large_order_and_a_small_one_take_turns(filled: Factory, client: TestClient) -> None:
+    body = {"since": "2014-01-01", "until": "2016-01-01", "reason": "test"}
+    large = client.post("/v1/investigations", json=body).json()["job"]
+    small = client.post("/v1/investigations", json={**body, "station": "CS002", "until": "2015-01-01"}).json()["job"]
+    with filled.database.write() as stores:
+        inputs = name_inputs(filled.simulation).text
+        taken = [stores.jobs.claim("me", lease_us=10**9, inputs=inputs) for _ in range(5)]
+    assert [part and part.job for part in taken] == [large, small, large, large, large]
 
 
 def test_jobs_are_listed_newest_first_and_stopped_once(filled: Factory, client: TestClient) -> None:
