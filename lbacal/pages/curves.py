@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import cycle
 from typing import Any
 
 import numpy as np
 
-from lbacal.pages.chart import BAND, BARS, BLUE, LINE, OF_DIPOLE, POINTS, SKY, Chart, Series
+from lbacal.pages.chart import BAND, BARS, BLUE, IMAGE, LINE, OF_DIPOLE, POINTS, SKY, Chart, Series
 from lbacal_core.curves.covariance import Budget
 from lbacal_core.curves.curves import OK, CalibrationCurve
 from lbacal_core.data.tables import read_table
@@ -17,6 +17,8 @@ from lbacal_core.grids import Floats
 MICRO, PERCENT = 1e6, 100.0
 FREQUENCY = "frequency (MHz)"
 C_LABEL = "C (µV per ADC unit)"
+SMALLEST_LIMIT = 0.5
+"""Per cent: the colours of a residual map go no further down, else noise alone would fill them."""
 
 
 def draw_curves(title: str, curves: Sequence[CalibrationCurve], beside: Mapping[str, Any] | None = None) -> Chart:
@@ -109,3 +111,16 @@ def draw_noise(mhz: Floats, terms: Mapping[str, Floats], title: str, unit: str =
         titles = [f"{name} {nu:g} MHz: {value:.4g} {unit}" for nu, value in zip(mhz, values, strict=True)]
         series.append(Series(LINE, mhz, values, name=name, colour=k % 7, style=k // 7, titles=titles))
     return Chart(title, FREQUENCY, f"power at the start of the chain ({unit})", series, scales=("linear", "log"))
+
+
+def limit_residuals(maps: Iterable[Floats]) -> float:
+    """One end of the colours for some residual maps, per cent."""
+    known = np.concatenate([np.zeros(0), *(np.abs(one[np.isfinite(one)]) for one in maps)])
+    return max(PERCENT * float(np.percentile(known, 99)) if known.size else 0.0, SMALLEST_LIMIT)
+
+
+def draw_residuals(title: str, mhz: Floats, values: Floats, limit: float) -> Chart:
+    """Measured over predicted power minus 1 against LST and frequency, shape (lst, freq)."""
+    extent = float(mhz[0]) - 0.5, float(mhz[-1]) + 0.5
+    image = Series(IMAGE, extent, (0.0, 24.0), name="%", image=PERCENT * values, limit=limit)
+    return Chart(title, FREQUENCY, "local sidereal time (h)", [image], y_limits=(0.0, 24.0))

@@ -8,8 +8,18 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from lbacal.pages.chart import BAND, BLUE, IMAGE, INK, LINE, MARK, OF_DIPOLE, POINTS, RED, SKY, Chart, Series
-from lbacal.pages.curves import C_LABEL, FREQUENCY, MICRO, PERCENT, above_zero, draw_curves, draw_noise, draw_terms
+from lbacal.pages.chart import BAND, BLUE, INK, LINE, MARK, OF_DIPOLE, POINTS, RED, SKY, Chart, Series
+from lbacal.pages.curves import (
+    C_LABEL,
+    FREQUENCY,
+    MICRO,
+    above_zero,
+    draw_curves,
+    draw_noise,
+    draw_residuals,
+    draw_terms,
+    limit_residuals,
+)
 from lbacal.pages.fit_summary import MOST_ROWS, explain_chi2, tabulate_curves
 from lbacal.pages.report import fill_report
 from lbacal_core.calibration.budget import largest_chi2_per_dof
@@ -65,8 +75,6 @@ def _describe_terms(budget: Budget) -> dict[str, object]:
 # The figures of a fit, of each polarisation: C with its errors, residual map, noise terms and chi2.
 
 WITHIN_1_SIGMA = (15.87, 84.13)
-SMALLEST_LIMIT = 0.5
-"""Per cent: the colours of a residual map go no further down, else noise alone would fill them."""
 LARGEST_LINEAR = 5.0
 """A chi2 per degree of freedom above which a linear axis would show the good curves as one line."""
 
@@ -95,15 +103,13 @@ def draw_fit(report: FitReport, maps: Mapping[str, Floats], simulation: Simulati
         From `average_residuals`.
     """
     curves = [curve for curve in report.curves if curve.c is not None]
-    known = [np.abs(one[np.isfinite(one)]) for one in maps.values()]
-    joined = np.concatenate(known) if known else np.zeros(0)
-    limit = max(PERCENT * float(np.percentile(joined, 99)) if joined.size else 0.0, SMALLEST_LIMIT)
-    found = {}
+    limit, found = limit_residuals(maps.values()), {}
     for dipole in sorted({str(curve.dipole) for curve in curves}) or list(maps):
         own = [curve for curve in curves if curve.dipole == dipole]
         charts = [draw_c(own, f"C, polarisation {dipole}")]
         if dipole in maps:
-            charts.append(_draw_map(maps[dipole], limit, dipole, simulation.instrument.frequency_mhz))
+            title = f"measured / predicted power - 1, polarisation {dipole}"
+            charts.append(draw_residuals(title, simulation.instrument.frequency_mhz, maps[dipole], limit))
         if own:
             sky = simulation.sky_power.power[dipole].mean(axis=0)
             charts += [_draw_noise(own, simulation.instrument, sky, dipole), _draw_chi2(own, dipole)]
@@ -149,14 +155,6 @@ def draw_c(curves: Sequence[CalibrationCurve], title: str = "C") -> Chart:
 def _median_error(curves: Sequence[CalibrationCurve], name: str) -> Floats:
     found = [values / np.asarray(curve.c) for curve in curves if (values := getattr(curve, name)) is not None]
     return np.asarray(np.nanmedian(found, axis=0)) if found else np.full(curves[0].frequency_mhz.shape, np.nan)
-
-
-def _draw_map(values: Floats, limit: float, dipole: str, frequency_mhz: Floats) -> Chart:
-    """Measured over predicted power against LST and frequency."""
-    extent = float(frequency_mhz[0]) - 0.5, float(frequency_mhz[-1]) + 0.5
-    image = Series(IMAGE, extent, (0.0, 24.0), name="%", image=PERCENT * values, limit=limit)
-    title = f"measured / predicted power - 1, polarisation {dipole}"
-    return Chart(title, FREQUENCY, "local sidereal time (h)", [image], y_limits=(0.0, 24.0))
 
 
 def _draw_noise(curves: Sequence[CalibrationCurve], instrument: Instrument, sky: Floats, dipole: str) -> Chart:

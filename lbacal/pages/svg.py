@@ -234,7 +234,8 @@ class _Scale:
         if self.kind == "time":
             return list(_ticks_of_time(low, high, length / APART))
         if self.kind == "log":
-            steps, decades = (1,) if high > 1000 * low else (1, 2, 5), range(math.floor(math.log10(low)), 99)
+            fine = (1, 2, 5) if high > 10 * low else (1, 1.5, 2, 3, 4, 5, 7)
+            steps, decades = (1,) if high > 1000 * low else fine, range(math.floor(math.log10(low)), 99)
             every = (factor * 10.0**k for k in decades if 10.0**k <= high for factor in steps)
             return [(value, f"{value:g}") for value in every if low <= value <= high]
         rough = (high - low) / TICKS

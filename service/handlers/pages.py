@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import groupby
 from typing import Annotated, Any
 
@@ -13,7 +14,17 @@ from fastapi.responses import HTMLResponse, RedirectResponse
 
 from lbacal.instants import format_instant, parse_instant
 from lbacal.pages.chart import Chart
-from lbacal.pages.curves import draw_curves, draw_difference, draw_noise, draw_terms, published_curve, values_of
+from lbacal.pages.curves import (
+    C_LABEL,
+    draw_curves,
+    draw_difference,
+    draw_noise,
+    draw_residuals,
+    draw_terms,
+    limit_residuals,
+    published_curve,
+    values_of,
+)
 from lbacal_core.causes.model import follows_date
 from lbacal_core.curves.covariance import parse_budget
 from lbacal_core.curves.curves import CalibrationCurve
@@ -30,6 +41,7 @@ from service.handlers.request import (
     TAKES_TURN,
     AntennaQuery,
     InPath,
+    JobNumber,
     UseCases,
     answer,
     require_read,
@@ -43,13 +55,24 @@ from service.storage.models import Investigation
 from service.storage.versions import MeanC, Version
 from service.usecases.calibrations import CurveInEffect, select_paths
 from service.usecases.drift import DriftSeries, Story
+from service.usecases.life import Life
 from service.usecases.models import list_stopped
 from service.usecases.status import State, look_over, tell_problems
 from service.wire.answers import FORMATS
 
+LOG = "log"
+
+
+def require_scale(scale: str = "") -> None:
+    """Refuse what is no scale of C along its axis; `_page` draws on it."""
+    if scale not in ("", LOG):
+        raise BadInputError("scale", f"{LOG} or nothing", scale[:60])
+
+
 router = APIRouter(
-    include_in_schema=False, dependencies=[Depends(require_read), TAKES_TURN], default_response_class=HTMLResponse
-)
+    include_in_schema=False, dependencies=[Depends(require_read), TAKES_TURN, Depends(require_scale)],
+    default_response_class=HTMLResponse,
+)  # fmt: skip
 assets = APIRouter(include_in_schema=False, default_response_class=Response)
 HTML, CSV = "text/html; charset=utf-8", "text/csv; charset=utf-8"
 STEPS_SHOWN, CHANGES_SHOWN, CURVES_SHOWN = 25, 8, 6
@@ -81,7 +104,7 @@ def _page(
     kept = {name: value for name, value in request.query_params.items() if name not in ("since", "until", "csv")}
     told = {"instrument": use.instrument.name, "frequency_mhz": use.instrument.frequency_mhz, "kept": kept}
     told["address_here"] = f"{request.url.path}{span.with_more(**kept)}"
-    shown = {key: Figure(chart, span.with_more(**kept, csv=key)) for key, chart in drawn.items()}
+    shown = {key: _show(key, chart, span, kept) for key, chart in drawn.items()}
     body = render_page(name, here=here, leave=word, span=span, q=span.query, figures=shown, **told, **content)
     return answer(
         request,
@@ -89,6 +112,17 @@ def _page(
         media_type=HTML,
         cache=f"private, {REVALIDATE}" if word and use.settings.open_reads else REVALIDATE,
     )
+
+
+def _show(key: str, chart: Chart, span: Span, kept: Mapping[str, str]) -> Figure:
+    """A chart with the address of its numbers; C itself on the scale that is asked for, with that of the other one."""
+    numbers = span.with_more(**kept, csv=key)
+    if chart.y_label != C_LABEL:
+        return Figure(chart, numbers)
+    if kept.get("scale") != LOG:
+        return Figure(chart, numbers, span.with_more(**{**kept, "scale": LOG}), LOG)
+    other = span.with_more(**{name: value for name, value in kept.items() if name != "scale"}) or "?"
+    return Figure(replace(chart, scales=("linear", "log"), y_limits=None), numbers, other, "linear")
 
 
 @assets.get("/static/{digest}/{name}")
@@ -181,12 +215,19 @@ def show_jobs(request: Request, use: UseCases, span: InSpan) -> Response:
     )  # fmt: skip
 
 
+@router.get("/jobs/{number}")
+def show_job(request: Request, use: UseCases, number: JobNumber, span: InSpan) -> Response:
+    job, records = use.jobs.get(number), use.jobs.records(number)
+    is_open = job.state in ("queued", "running")
+    return _page(request, use, span, "job.html", "/jobs", job=job, records=records, is_open=is_open, now=use.clock())
+
+
 @router.get("/drift")
 def show_drift(request: Request, use: UseCases, span: InSpan, csv: CsvQuery = "") -> Response:
     chart, main = use.drift.shown.get(f"{use.drift.state()} {span.query}", lambda: _tell_drift(use, span))
     changes = [one for one in use.changes.list_all() if one.ended is None and span.has(one.change.date)]
-    array, life = use.drift.series(Scope()), use.lives.of(None)
-    figures = {"drift": chart, "life": charts.draw_life(life, array, span, use.clock())}
+    life = use.lives.of(None)
+    figures = {"drift": chart, **_draw_life(use, life, use.drift.series(Scope()), span)}
     return _page(request, use, span, "drift.html", "/drift", figures, csv, main=main, changes=changes, life=life)
 
 
@@ -237,7 +278,7 @@ def show_station(request: Request, use: UseCases, station: InPath, span: InSpan,
         else None,
         "terms": _draw_terms(use, in_effect),
         "time": charts.draw_path(life, series, span, None, ""),
-        "life": charts.draw_life(life, series, span, use.clock()),
+        **_draw_life(use, life, series, span),
         "matrix": charts.draw_matrix(station, use.drift.matrix(station), span),
     }
     return _page(
@@ -245,6 +286,13 @@ def show_station(request: Request, use: UseCases, station: InPath, span: InSpan,
         means=use.drift.means_of_paths(station), slopes=use.drift.slopes_of_paths(station),
         steps=[one for one in series.steps if span.has(one.date)][:STEPS_SHOWN],
     )  # fmt: skip
+
+
+def _draw_life(use: Factory, life: Life, series: DriftSeries, span: Span) -> dict[str, Chart]:
+    """What happened, and what was recorded beside it, on one axis of time."""
+    days = charts.find_days(life, series, span)
+    environment = use.lives.environment(*(round(charts.US * at) for at in days))
+    return {"life": charts.draw_life(life, days, span, use.clock()), **charts.draw_environment(environment, days)}
 
 
 def _last_shown(use: Factory, span: Span) -> Instant | None:
@@ -281,7 +329,7 @@ def show_path(
     address = f"/paths/{station}/{antenna}/{dipole}"
     figures = {
         "time": charts.draw_path(life, series, span, instant, address),
-        "life": charts.draw_life(life, series, span, use.clock()),
+        **_draw_life(use, life, series, span),
         **(_draw_date(use, path, found) if found is not None else {}),
     }
     return _page(
@@ -292,9 +340,9 @@ def show_path(
 def _draw_date(use: Factory, path: Scope, found: CurveInEffect) -> dict[str, Chart | None]:
     """What is known of a path on a date: C beside its predecessor, the noise in kelvin, the fit over sidereal time."""
     curve, name, before = found.told.curve, name_path(*path.parts), _find_predecessor(use, found)
-    beside = _published(use) | ({} if before is None else {"before it": (before.frequency_mhz, before.c)})
+    others = _published(use) | ({} if before is None else {"before it": (before.frequency_mhz, before.c)})
     drawn: dict[str, Chart | None] = {
-        "curve": draw_curves(f"C of {name} on {format_instant(found.at)[:10]}", [curve], beside),
+        "curve": draw_curves(f"C of {name} on {format_instant(found.at)[:10]}", [curve], others),
         "difference": None if before is None else draw_difference(before, curve, ("before it", "this version")),
         "terms": _draw_terms(use, [curve]),
     }
@@ -304,8 +352,13 @@ def _draw_date(use: Factory, path: Scope, found: CurveInEffect) -> dict[str, Cha
     if prediction.per_kelvin is not None:
         kelvin = {term: power / prediction.per_kelvin for term, power in prediction.contributions.items()}
         drawn["noise"] = draw_noise(prediction.frequency_mhz, kelvin, f"noise of {name}")
-    over_lst = use.predictions.over_lst(found)
-    return drawn | {"lst": None if over_lst is None else charts.draw_over_lst(over_lst, name)}
+    beside = use.predictions.beside_data(found)
+    if beside is not None:
+        over_lst, departures = beside
+        title = f"measured / predicted power of {name} - 1"
+        drawn["residuals"] = draw_residuals(title, curve.frequency_mhz, departures, limit_residuals([departures]))
+        drawn["lst"] = charts.draw_over_lst(over_lst, name)
+    return drawn
 
 
 def _find_predecessor(use: Factory, found: CurveInEffect) -> CalibrationCurve | None:

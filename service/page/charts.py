@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -29,8 +29,10 @@ from lbacal.pages.chart import (
     Chart,
     Series,
 )
+from lbacal_core.causes.cause import RAIN, TEMPERATURE
 from lbacal_core.curves.validity import Instant
 from lbacal_core.errors import name_path
+from lbacal_core.grids import Floats
 from service.page.span import Span
 from service.storage.changes import KeptChange
 from service.storage.versions import MeanC
@@ -48,6 +50,7 @@ LANES = ("in effect", "versions", "changes", "causes", "alarms", "investigations
 ROW, FOR_AXIS = 18, 70
 """Height of a row of bars, and of the axis below them."""
 MATRIX_ROW, LEFT = 9, 120.0
+WITHIN_1_SIGMA = (15.87, 84.13)
 COLOURS = (INK, RED, BLUE, GREEN, PURPLE, ORANGE, SKY)
 
 
@@ -215,15 +218,14 @@ def draw_path(life: Life, drift: DriftSeries, span: Span, at: Instant | None, ad
     parts.append(Series(MARK, dates, name="change", colour=RED, style=1, titles=titles, links=links))
     if at is not None:
         parts.append(Series(MARK, [at / US], name="shown below", colour=GREEN, titles=[format_instant(at)[:10]]))
-    label, limits = "C / C of the first year", _extent(life, drift, span)
+    label, limits = "C / C of the first year", find_days(life, drift, span)
     return Chart(
         "C over time", "date (UTC)", label, parts, ("time", "linear"), limits, width=WIDE, height=320, left=LEFT
     )
 
 
-def draw_life(life: Life, drift: DriftSeries, span: Span, now: Instant) -> Chart:
-    """Everything that happened to a scope, a lane a kind; the days are those of `draw_path`."""
-    limits = _extent(life, drift, span)
+def draw_life(life: Life, limits: tuple[float, float], span: Span, now: Instant) -> Chart:
+    """Everything that happened to a scope, a lane a kind; the days are those of `find_days`."""
     series: list[Series] = []
 
     def add(lane: str, since: Instant | None, until: Instant | None, title: str, link: str, colour: int) -> None:
@@ -257,7 +259,35 @@ def draw_life(life: Life, drift: DriftSeries, span: Span, now: Instant) -> Chart
     return Chart("what happened", "date (UTC)", "", series, ("time", "linear"), limits, None, LANES, WIDE, height, LEFT)
 
 
-def _extent(life: Life, drift: DriftSeries, span: Span) -> tuple[float, float]:
+UNITS = {TEMPERATURE: "temperature (°C)", RAIN: "rain (mm/h)"}
+MOST_COVARIATES = 3
+
+
+def draw_environment(
+    found: Mapping[str, Sequence[tuple[Instant, Floats]]], days: tuple[float, float]
+) -> dict[str, Chart]:
+    """What was recorded beside the events, month by month: the mean, and the middle 68 %; the first few by name."""
+    charts = {}
+    for name, months in list(found.items())[:MOST_COVARIATES]:
+        at = [month / US + HALF_A_MONTH for month, _ in months]
+        middle = [float(values.mean()) for _, values in months]
+        low, high = zip(*(np.percentile(values, WITHIN_1_SIGMA) for _, values in months), strict=True)
+        titles = [
+            f"{format_instant(m)[:7]}: {value:.3g}, {len(v)} events"
+            for (m, v), value in zip(months, middle, strict=True)
+        ]
+        label = UNITS.get(name, name)
+        series = [
+            Series(BAND, at, low=low, high=high, colour=ORANGE),
+            Series(LINE, at, middle, colour=ORANGE, titles=titles),
+        ]
+        charts[f"env-{name}"] = Chart(
+            label, "date (UTC)", label, series, ("time", "linear"), days, None, (), WIDE, 160, LEFT
+        )
+    return charts
+
+
+def find_days(life: Life, drift: DriftSeries, span: Span) -> tuple[float, float]:
     """The days that are shown: the span, where it is open those of the data."""
     known = [month.month / US for month in drift.months] + [at / US for one in life.versions for at in one.window]
     known += [at / US for one in life.investigations for at in (one.since, one.until)]

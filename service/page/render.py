@@ -64,10 +64,12 @@ def find_asset(digest: str, name: str) -> Asset:
 
 @dataclass(frozen=True)
 class Figure:
-    """A chart on a page, and the address of its numbers."""
+    """A chart on a page, the address of its numbers, and that of the page with another scale of y, if there is one."""
 
     chart: Chart
     csv: str
+    other: str = ""
+    scale: str = ""
 
 
 SHORT_DAYS = 10.0

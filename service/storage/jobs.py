@@ -102,6 +102,19 @@ class Job:
 
 
 @dataclass(frozen=True)
+class Record:
+    """What is on record of a part: who works on it or did, how often it was begun, and how it ended."""
+
+    request: Mapping[str, Any]
+    state: str
+    worker: str | None
+    attempts: int
+    result: Mapping[str, Any]
+    error: str | None
+    ended: Instant | None
+
+
+@dataclass(frozen=True)
 class Tries:
     """What became of due work: open or done, or failed so often, and when it may be tried again."""
 
@@ -248,6 +261,14 @@ class JobStore(Store):
         if not found:
             raise NotFoundError(f"no job {number}; GET /v1/jobs lists them")
         return found[0]
+
+    def records(self, number: int) -> list[Record]:
+        """The parts of a job, in their order."""
+        rows = self._connection.execute(select(job_part).where(job_part.c.job == number).order_by(job_part.c.id))
+        return [
+            from_row(Record, row, request=json.loads(row.request), result=json.loads(row.result or "{}"))
+            for row in rows
+        ]
 
     def newest(self, *, before: int | None, limit: int) -> list[Job]:
         """Jobs from the newest back, those with a number below `before`."""

@@ -471,6 +471,24 @@ class SpectraStore(Store):
         statement = statement.where(event.c.time_us > instant - EVENT_SPAN_US, spectrum.c.time_us > instant)
         return int(self._connection.execute(statement).scalar_one())
 
+    def covariates_by_month(self, since: Instant, until: Instant) -> dict[str, list[tuple[Instant, Floats]]]:
+        """The values of every covariate at the events of [since, until), by month (UTC), which is its first instant."""
+        statement = select(event.c.time_us, event.c.env).where(event.c.env.is_not(None)).order_by(event.c.time_us)
+        rows = self._connection.execute(statement.where(event.c.time_us >= since, event.c.time_us < until)).all()
+        known: dict[str, list[tuple[int, float]]] = {}
+        for time_us, env in rows:
+            for name, value in json.loads(env).items():
+                if value is not None:
+                    known.setdefault(name, []).append((time_us, value))
+        found = {}
+        for name, values in sorted(known.items()):
+            times, numbers = (np.array(column) for column in zip(*values, strict=True))
+            months = times.astype("datetime64[us]").astype("datetime64[M]")
+            first, at = np.unique(months, return_index=True)
+            starts = first.astype("datetime64[us]").astype(np.int64).tolist()
+            found[name] = list(zip(starts, np.split(numbers, at[1:]), strict=True))
+        return found
+
     def count_events(self) -> int:
         """How many events are stored."""
         return int(self._connection.execute(select(func.count()).select_from(event)).scalar_one())

@@ -5,13 +5,15 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 
-from lbacal_core.calibration.one_event import OverLst, compare_over_lst
+from lbacal_core.calibration.one_event import OverLst, compare_over_lst, map_departures
 from lbacal_core.calibration.prediction import Prediction
 from lbacal_core.causes.model import Model
 from lbacal_core.curves.covariance import parse_budget
 from lbacal_core.curves.validity import Instant
 from lbacal_core.discovery.forward import predict
+from lbacal_core.grids import Floats
 from lbacal_core.simulation.simulation import Simulation
+from lbacal_core.spectra.blocks import iterate_blocks
 from service.storage.spectra import Window
 from service.storage.versions import MICROSECONDS
 from service.usecases.calibrations import Calibrations, CurveInEffect, select_paths
@@ -41,10 +43,10 @@ class Predictions:
         simulation = self.simulation if model is None else self.simulation.with_causes(Model.from_text(model))
         return curve, predict(told, simulation, seconds, budget=budget, temperature_c=temperature_c, is_own=is_own)
 
-    def over_lst(self, curve: CurveInEffect) -> OverLst | None:
-        """Measured and predicted band power of a path against sidereal time, by the events of its version's window.
+    def beside_data(self, curve: CurveInEffect) -> tuple[OverLst, Floats] | None:
+        """What the events of its version's window say of a path: band power over sidereal time, and the residual map.
 
-        None where there are no spectra of the path.
+        The map is measured over predicted power minus 1, shape (lst, freq). None where there are no spectra.
         """
         version, database = curve.version, self.calibrations.database
         with database.read() as stores:
@@ -52,4 +54,6 @@ class Predictions:
             if not stores.spectra.content(window)[0]:
                 return None
             spectra = self.fits.load_window(stores, window, with_covariates=False)
-        return compare_over_lst(spectra, curve.told.curve, self.simulation)
+        told = curve.told.curve
+        (block,) = iterate_blocks(spectra)
+        return compare_over_lst(spectra, told, self.simulation), map_departures(block, [told], self.simulation)

@@ -14,7 +14,7 @@ from lbacal_core.errors import BadInputError
 from lbacal_core.simulation.simulation import Simulation
 from service.errors import ConflictError
 from service.storage.database import Database, Stores
-from service.storage.jobs import Job, Order, Part
+from service.storage.jobs import Job, Order, Part, Record
 from service.storage.sums import KeptPiece, Sums, Told, read_pieces
 from service.storage.versions import Examined, Version
 from service.usecases.calibrations import select_paths
@@ -345,6 +345,11 @@ class Jobs:
         """One job."""
         with self.database.read() as stores:
             return stores.jobs.get(number)
+
+    def records(self, number: int) -> list[Record]:
+        """What is on record of the parts of a job."""
+        with self.database.read() as stores:
+            return stores.jobs.records(number)
 
     def newest(self, *, before: int | None = None, limit: int = 100) -> list[Job]:
         """Jobs, newest first."""

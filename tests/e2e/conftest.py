@@ -6,7 +6,7 @@ import shutil
 import sqlite3
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +19,8 @@ from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.sky.power import compute_sky_power
 from lbacal_core.spectra.spectra import write_spectra
 from lbacal_twin.campaign import simulate_campaign
-from lbacal_twin.faults.fault import Fault
+from lbacal_twin.faults.fault import Fault, Where
+from lbacal_twin.faults.hardware import GainStep
 from lbacal_twin.faults.sky import LstOffset
 from lbacal_twin.settings import TwinSettings
 from validation.running.processes import Process, find_free_port, get, is_ready, running, wait_until
@@ -29,7 +30,8 @@ QUIET = [
     "--disable-component-update", "--disable-sync",
 ]  # fmt: skip
 expect.set_options(timeout=30_000)  # a busy machine fails no test
-SPECTRA = "spectra.h5"
+SPECTRA, TRUTH = "spectra.h5", "truth.npy"
+STEP = GainStep(size=-0.15, date="2015-07-01", where=Where(antennas=(1,), dipoles=("Y",)))
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
 
@@ -54,12 +56,17 @@ class Service:
         assert said.returncode == 0, said.stderr
         return said.stdout
 
+    def pass_night(self, last: Collection[str] = ()) -> None:
+        """Enqueue what is due, and wait until all of it has ended, the kinds that come last among it."""
+        self.do("scheduler", "--once")
+        wait_until(lambda: _is_idle(self.url, last), "the night to end")
+
 
 @pytest.fixture(scope="session")
 def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of two years of two antennas, served, ingested and fitted with the commands of the README."""
-    settings = TwinSettings(stations=("CS002",), antennas=2, years=1.99, events_per_year=100)
-    return make_once(tmp_path_factory, "fitted", settings, {"watch", "investigation"})
+    """The folder of two years of two antennas, one with a step, ingested and fitted with the commands of the README."""
+    settings = TwinSettings(stations=("CS002",), antennas=2, years=1.99, events_per_year=140)
+    return make_once(tmp_path_factory, "fitted", settings, {"watch", "investigation"}, [STEP])
 
 
 @pytest.fixture(scope="session")
@@ -79,7 +86,11 @@ def faulty(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
 
 
 def make_once(
-    factory: pytest.TempPathFactory, name: str, settings: TwinSettings, last: set[str], faults: Sequence[Fault] = ()
+    factory: pytest.TempPathFactory,
+    name: str,
+    settings: TwinSettings,
+    last: Collection[str],
+    faults: Sequence[Fault] = (),
 ) -> Path:
     """The folder of a service after its first night, made by one process of the tests for all of them."""
     common = factory.getbasetemp()
@@ -109,16 +120,17 @@ def _are_all_there(url: str) -> bool:
     return {one["kind"] for one in get(f"{url}/v1/status").json()["processes"]} == {"api", "scheduler", "worker"}
 
 
-def make_state(folder: Path, settings: TwinSettings, last: set[str], faults: Sequence[Fault]) -> None:
+def make_state(folder: Path, settings: TwinSettings, last: Collection[str], faults: Sequence[Fault]) -> None:
     """A service with the spectra of a simulated campaign, one of whose nights has passed, up to its last jobs."""
     spectra = folder / SPECTRA
     instrument = load_instrument("lofar-superterp")
     sky = compute_sky_power(instrument)
-    write_spectra(simulate_campaign(settings, instrument, sky, np.random.default_rng(5), faults).spectra, spectra)
+    campaign = simulate_campaign(settings, instrument, sky, np.random.default_rng(5), faults)
+    write_spectra(campaign.spectra, spectra)
+    np.save(folder / TRUTH, campaign.truth.curve("Y", "CS002", 1))
     with serve(folder) as made:
         made.do("ingest", str(spectra))
-        made.do("scheduler", "--once")
-        wait_until(lambda: _is_idle(made.url, last), "the night to end")
+        made.pass_night(last)
     with closing(sqlite3.connect(folder / "lbacal.sqlite")) as connection, connection:
         # scheduler and worker end with their server at once, and count as alive for a minute
         connection.execute("DELETE FROM process")
@@ -132,6 +144,7 @@ def serve(folder: Path) -> Iterator[Service]:
     environment = os.environ | {
         "LBACAL_DATABASE_URL": str(folder / "lbacal.sqlite"), "LBACAL_URL": url, "LBACAL_POLL_S": "0.1",
         "LBACAL_GATE_ERROR": "0.3", "LBACAL_GATE_CHANGE": "0.5", "COLUMNS": "200",
+        "LBACAL_CUT_WINDOWS": "false",  # a step waits for somebody to put it in force
     }  # fmt: skip
     with running(Process(environment, folder / "log", "serve", "--port", str(port))):
         wait_until(lambda: is_ready(url), "the server to answer")
@@ -142,10 +155,9 @@ def serve(folder: Path) -> Iterator[Service]:
         yield made
 
 
-def _is_idle(url: str, last: set[str]) -> bool:
-    """Whether all that the night enqueued has ended, the kinds that come last among it."""
+def _is_idle(url: str, last: Collection[str]) -> bool:
     jobs = get(f"{url}/v1/jobs").json()["jobs"]
-    are_last_there = last <= {job["kind"] for job in jobs}
+    are_last_there = set(last) <= {job["kind"] for job in jobs}
     return are_last_there and all(job["state"] in ("done", "failed") for job in jobs)
 
 

@@ -22,8 +22,8 @@ YEAR = ("--from", "2003-01-01", "--to", "2004-01-01", "--reason", "test")
 def test_ingest_can_be_run_again(service: Any) -> None:
     again = service.run("ingest", str(service.spectra))
     assert again.returncode == 0, again.stderr
-    assert again.stdout == "796 spectra sent: 0 stored, 796 there already\n"
-    assert "199 of 199 events" in again.stderr
+    assert again.stdout == "1116 spectra sent: 0 stored, 1116 there already\n"
+    assert "279 of 279 events" in again.stderr
 
 
 def test_effective_prints_the_calibration_on_a_date(service: Any) -> None:

@@ -1,38 +1,47 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Locator, Page, expect
 
 from lbacal.instants import DAY_US, parse_instant
+from lbacal_core.grids import Floats
 from service.config import Settings
 from service.factory import Factory
 from service.storage.changes import DRIFT, Change, Evidence
-from validation.running.processes import Process, find_free_port, get, is_ready, running, wait_until
+from tests.e2e.conftest import STEP, TRUTH
+from validation.running.processes import Process, find_free_port, get, is_ready, post, running, wait_until
+
+
+def watch(page: Page, url: str) -> list[str]:
+    """Whatever a user should never see, as it comes: console output, script errors, refusals, requests off the host."""
+    noted: list[str] = []
+    page.on("console", lambda message: noted.append(f"console {message.type}: {message.text}"))
+    page.on("pageerror", lambda error: noted.append(f"script: {error}"))
+    page.on("request", lambda request: None if request.url.startswith(url) else noted.append(request.url))
+    page.on("response", lambda answer: noted.append(f"{answer.status} {answer.url}") if answer.status >= 400 else None)
+    return noted
 
 
 @pytest.fixture
 def page(browser: Browser, service: Any) -> Any:
-    """A page that notes whatever a user should never see: console output, script errors, requests off the host."""
+    """A page on which nothing may be noted."""
     made = browser.new_page(viewport={"width": 1240, "height": 900})
-    noted: list[str] = []
-    made.on("console", lambda message: noted.append(f"console {message.type}: {message.text}"))
-    made.on("pageerror", lambda error: noted.append(f"script: {error}"))
-    made.on("request", lambda request: None if request.url.startswith(service.url) else noted.append(request.url))
-    made.on("response", lambda answer: noted.append(f"{answer.status} {answer.url}") if answer.status >= 400 else None)
+    noted = watch(made, service.url)
     yield made
     assert noted == []
     made.close()
 
 
-@pytest.mark.parametrize("address", ["/", "/alarms", "/jobs", "/docs"])
-def test_a_page_shows_without_complaint(page: Page, service: Any, address: str) -> None:
-    page.goto(service.url + address, wait_until="networkidle")
+def test_the_documentation_shows_without_complaint(page: Page, service: Any) -> None:
+    page.goto(service.url + "/docs", wait_until="networkidle")
     expect(page.locator("h1, h2").first).to_be_visible()
 
 
@@ -56,8 +65,13 @@ def test_station_antenna_and_date_lead_to_c_with_both_errors(page: Page, service
     page.get_by_role("button", name="C on that date").click()
     expect(page.locator("h1")).to_have_text("CS002 antenna 1 Y")
     drawn = page.locator("#date figure svg")
-    titles = ("C of CS002 antenna 1 Y on 2014-05-20", "fit of CS002 antenna 1 Y over sidereal time", "noise of")
-    for title in titles:
+    name = "CS002 antenna 1 Y"
+    for title in (
+        f"C of {name} on 2014-05-20",
+        f"fit of {name} over",
+        f"measured / predicted power of {name}",
+        "noise of",
+    ):
         expect(page.locator(f"#date svg[aria-label^='{title}']")).to_be_visible()
     assert drawn.first.locator("path.band").count() == 2
     asked = {"station": "CS002", "antenna": 1, "dipole": "Y", "at": "2014-05-20"}
@@ -81,7 +95,7 @@ def test_the_drift_is_drawn_and_a_point_leads_to_its_version(page: Page, service
 
 def test_a_month_of_a_path_leads_to_c_on_that_date(page: Page, service: Any) -> None:
     page.goto(service.url + "/stations/CS002")
-    page.locator("svg a[href^='/paths/CS002/1/Y']").click()
+    page.locator("svg a[href='/paths/CS002/1/Y']").click()
     expect(page.locator("h1")).to_have_text("CS002 antenna 1 Y")
     page.locator("svg a[href*='at=2014-05-15'] circle").click()
     expect(page.locator("#date h2")).to_have_text("C on 2014-05-15")
@@ -134,52 +148,115 @@ def test_a_station_shows_its_paths_month_by_month(page: Page, service: Any) -> N
 PAGES = ("/", "/drift", "/alarms", "/models", "/jobs", "/stations/CS002", "/paths/CS002/1/Y")
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_no_page_has_a_serious_barrier(browser: Browser, service: Any, scheme: Any) -> None:
-    """By axe-core: names of controls, contrast, order of headings, what a keyboard reaches."""
-    context = browser.new_context(viewport={"width": 1400, "height": 900}, color_scheme=scheme)
+def list_pages(service: Any) -> list[str]:
+    """An address of every page."""
+    (made, *_) = get(f"{service.url}/v1/investigations").json()["investigations"]
+    (version, other, *_) = get(f"{service.url}/v1/calibrations").json()["calibrations"]
+    (job, *_) = get(f"{service.url}/v1/jobs").json()["jobs"]
+    of_version = f"/calibrations/{version['id']}?against={other['id']}&scale=log"
+    return [*PAGES, f"/investigations/{made['id']}", of_version, f"/jobs/{job['job']}", "/log-in"]
+
+
+@pytest.mark.parametrize(
+    ("width", "scheme", "has_script"),
+    [(1400, "light", True), (390, "dark", False)],
+)
+def test_every_page_is_whole_and_has_no_barrier(
+    browser: Browser, service: Any, width: int, scheme: Any, has_script: bool
+) -> None:
+    context = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme)
+    if not has_script:  # axe needs an engine that runs scripts: the page's own is taken away
+        context.route("**/*.js", lambda route: route.fulfill(body="", content_type="text/javascript"))
     page = context.new_page()
     log_in(page, service, "/")
-    (made, *_) = get(f"{service.url}/v1/investigations").json()["investigations"]
-    (version, *_) = get(f"{service.url}/v1/calibrations").json()["calibrations"]
-    found = {}
-    for address in (*PAGES, f"/investigations/{made['id']}", f"/calibrations/{version['id']}", "/log-in", "/nothing"):
+    noted, found = watch(page, service.url), {}
+    for address in list_pages(service):
         page.goto(service.url + address)
-        told = Axe().run(page).response["violations"]
+        expect(page.locator("h1")).to_be_visible()
         found[address] = [
-            (one["id"], one["nodes"][0]["html"][:120]) for one in told if one["impact"] in ("serious", "critical")
+            *find_barriers(page),
+            *find_cut_off(page, width),
+            *(find_unreachable(page) if has_script else ()),
         ]
     assert {address: told for address, told in found.items() if told} == {}
+    assert noted == []
     context.close()
 
 
-@pytest.mark.parametrize("address", PAGES)
-def test_without_script_everything_can_be_read(browser: Browser, service: Any, address: str) -> None:
-    context = browser.new_context(java_script_enabled=False, viewport={"width": 390, "height": 800})
-    page = context.new_page()
-    page.goto(service.url + address)
-    expect(page.locator("h1")).to_be_visible()
-    for figure in page.locator("figure").all():
-        expect(figure.locator("svg").first).to_be_visible()
-    numbers = page.locator("figure a", has_text="CSV")
-    if numbers.count():
-        told = page.request.get(f"{service.url}{address}{numbers.first.get_attribute('href')}")
-        assert told.text().startswith('"series","')
-    context.close()
+def find_barriers(page: Page) -> list[Any]:
+    """What axe-core takes for serious: names of controls, contrast, order of headings, what a keyboard reaches."""
+    told = Axe().run(page).response["violations"]
+    return [(one["id"], one["nodes"][0]["html"][:120]) for one in told if one["impact"] in ("serious", "critical")]
 
 
-@pytest.mark.parametrize("width", [1400, 800, 390])
-@pytest.mark.parametrize("address", PAGES)
-def test_columns_were_cut_off_at_the_edge_of_a_window(browser: Browser, service: Any, width: int, address: str) -> None:
-    page = browser.new_page(viewport={"width": width, "height": 900})
-    page.goto(service.url + address, wait_until="networkidle")
-    assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
+def find_cut_off(page: Page, width: int) -> list[str]:
+    """What the edge of the window cuts off; on a telephone also a figure whose right end, the newest, is not shown."""
+    if not page.evaluate("document.documentElement.scrollWidth <= window.innerWidth"):
+        return ["the page"]
     outside = "sections => sections.filter(s => s.scrollWidth > s.clientWidth + 1).map(s => s.innerText.slice(0, 80))"
-    assert page.locator("main section").evaluate_all(outside) == []
+    hidden = page.locator("main section").evaluate_all(outside)
     for figure in page.locator(".figure.wide").all() if width == 390 else ():
         shown = figure.evaluate("f => f.getBoundingClientRect().right - f.firstChild.getBoundingClientRect().right")
-        assert abs(shown) < 2, "the newest month, at the right end, is on the screen"
-    page.close()
+        hidden += [f"the end of a figure by {shown}"] if abs(shown) >= 2 else []
+    return hidden
+
+
+REACHABLE = "a[href], button, input:not([type=hidden]), select, summary"
+
+
+def find_unreachable(page: Page) -> list[str]:
+    """What may be clicked and the key Tab does not reach, or does without showing it."""
+    page.evaluate(
+        """selector => {
+          const seen = window.seen = new Set([document.activeElement]);
+          document.addEventListener("focusin", (event) => {
+            if (getComputedStyle(event.target).outlineStyle !== "none") seen.add(event.target);
+          });
+          window.wanted = [...document.querySelectorAll(selector)].filter((one) => one.checkVisibility());
+        }""",
+        REACHABLE,
+    )
+    more = "document.querySelectorAll('[tabindex]').length + 4 * document.querySelectorAll('input[type=date]').length"
+    for _ in range(page.evaluate(f"wanted.length + {more}")):  # a field of a date has a stop for each of its parts
+        page.keyboard.press("Tab")
+    missed: list[str] = page.evaluate(
+        "wanted.filter((one) => !seen.has(one)).map((one) => one.outerHTML.slice(0, 120))"
+    )
+    return missed
+
+
+def test_without_script_everything_can_be_read(browser: Browser, service: Any) -> None:
+    context = browser.new_context(java_script_enabled=False, viewport={"width": 390, "height": 800})
+    page = context.new_page()
+    for address in PAGES:
+        page.goto(service.url + address)
+        expect(page.locator("h1")).to_be_visible()
+        for figure in page.locator("figure").all():
+            expect(figure.locator("svg").first).to_be_visible()
+        for numbers in page.locator("figure a", has_text="CSV").all()[:1]:
+            told = page.request.get(f"{service.url}{address}{numbers.get_attribute('href')}")
+            assert told.text().startswith('"series","')
+    context.close()
+
+
+QUESTION = re.compile(r"^\| \d+\. (.+?) \| (.*?)\| `(.+?)` \|$", re.MULTILINE)
+
+
+def test_fifteen_questions_are_answered_in_at_most_three_clicks(page: Page, service: Any, repository: Path) -> None:
+    table = QUESTION.findall((repository / "docs/how-to/run-the-service.md").read_text())
+    assert len(table) == 15
+    walks: dict[tuple[str, ...], list[str]] = {}
+    for _, clicks, answered in table:
+        walks.setdefault(tuple(re.findall(r"`(.+?)`", clicks)), []).append(answered)
+    assert max(map(len, walks)) == 3
+    for steps, answers in walks.items():
+        page.goto(service.url + "/")
+        for step in steps:
+            here = page.locator("main").get_by_role("link", name=step)
+            here = here.or_(page.locator("main").get_by_role("button", name=step))
+            (here if here.count() else page.get_by_role("link", name=step)).first.click()
+        for answered in answers:
+            expect(page.locator("main")).to_contain_text(answered)
 
 
 def test_pages_told_c_in_volts_and_reports_in_microvolts(page: Page, service: Any) -> None:
@@ -276,11 +353,10 @@ def decide(page: Page, row: Locator, label: str, reason: str) -> None:
     page.get_by_role("button", name="Do it").click()
 
 
-@pytest.mark.parametrize("has_script", [True, False])
-def test_an_admin_dismisses_a_change_with_a_reason_and_takes_that_back(
-    browser: Browser, service: Any, change: int, has_script: bool
+def test_an_admin_dismisses_a_change_without_script_and_takes_that_back(
+    browser: Browser, service: Any, change: int
 ) -> None:
-    context = browser.new_context(java_script_enabled=has_script, viewport={"width": 390, "height": 800})
+    context = browser.new_context(java_script_enabled=False, viewport={"width": 390, "height": 800})
     page = context.new_page()
     log_in(page, service, "/drift")
     assert page.url == service.url + "/drift"
@@ -295,3 +371,76 @@ def test_an_admin_dismisses_a_change_with_a_reason_and_takes_that_back(
     expect(row.locator(".state")).to_have_text("found, not yet refitted")
     expect(row).to_contain_text("it lay on the other one")
     context.close()
+
+
+WHERE = {"station": "CS002", "antenna": 1, "dipole": "Y"}
+BEFORE, AFTER = "2015-02-15", "2015-09-15"
+
+
+def read_c(page: Page, service: Any, at: str) -> tuple[str, Floats, Floats]:
+    """Ask for C on a date on the first screen; the version, C and its error that the page and the API tell alike."""
+    page.get_by_role("link", name="Overview").click()
+    page.get_by_label("antenna").fill("1")
+    page.get_by_label("dipole").select_option("Y")
+    page.get_by_label("date").fill(at)
+    page.get_by_role("button", name="C on that date").click()
+    (told,) = get(f"{service.url}/v1/calibrations/effective", params={**WHERE, "at": at}).json()["curves"]
+    version = page.locator("#date a[href^='/calibrations/']").first
+    expect(version).to_have_attribute("href", f"/calibrations/{told['calibration']}")
+    c, *errors = (np.array(told[name], dtype=float) for name in ("c", "c_sigma_stat", "c_sigma_sys"))
+    drawn = [one.text_content() for one in page.locator("#date figure").first.locator("svg circle.hover title").all()]
+    assert [float(str(one).split(": ")[1].split(" ")[0]) for one in drawn] == pytest.approx(1e6 * c, abs=0.006)
+    return told["calibration"], c, np.hypot(*errors)
+
+
+def test_a_planted_step_is_put_in_force_by_clicks_c_is_right_on_both_sides_and_it_is_undone(
+    browser: Browser, service: Any, fitted: Path
+) -> None:
+    page = browser.new_page(viewport={"width": 1400, "height": 900})
+    log_in(page, service, "/")
+    whole = {at: read_c(page, service, at)[0] for at in (BEFORE, AFTER)}
+    assert len(set(whole.values())) == 1, "one version over the step"
+    page.get_by_role("link", name="Overview").click()
+    proposed = page.locator("#changed tbody tr", has_text="CS002 antenna 1")
+    expect(proposed).to_contain_text("proposed")
+    page.locator("#waits tr", has_text="gain_step").get_by_role("link").click()
+    found = page.locator("section", has_text="the gain stepped at a date")
+    (name,) = re.findall(r"/investigations/([0-9a-f]+)", page.url)
+    (finding,) = get(f"{service.url}/v1/investigations/{name}").json()["report"]["findings"]
+    size = finding["size"]
+    expect(found).to_contain_text(f"{size['value']:.4g} ± {size['sigma']:.2g} fraction")
+    assert size["value"] == pytest.approx(STEP.size, abs=3.0 * size["sigma"])
+
+    found.locator("summary", has_text="Put in force").click()
+    found.get_by_label("Reason").first.fill("the record of that day has it")
+    found.get_by_role("button", name="Put in force").click()
+    expect(page.locator("h1")).to_have_text("Decide about a change")
+    assert find_barriers(page) == []
+    (change,) = (one for one in get(f"{service.url}/v1/changes").json()["changes"] if one["decision"] == "proposed")
+    wanted = {"decision": "in_force", "reason": "x"}
+    key = {"Authorization": f"Bearer {service.environment['LBACAL_API_KEY']}"}
+    address = f"{service.url}/v1/changes/{change['id']}/decision?dry_run=true"
+    foreseen = post(address, json=wanted, headers=key, timeout=60).json()["changes"]
+    shown = [row.inner_text().split("\t") for row in page.locator("tbody tr").all()]
+    assert [row[-2] for row in shown] == [f"{100 * one['max_fraction']:.2f} %" for one in foreseen]
+    assert {row[0] for row in shown} == {"CS002 antenna 1 X", "CS002 antenna 1 Y"}
+    page.get_by_role("button", name="Do it").click()
+    row = page.locator("#changes tbody tr", has_text=change["at"]["value"][:10])
+    expect(row.locator(".state")).to_have_text("found, not yet refitted")
+    service.pass_night()
+
+    truth, after_it = np.load(fitted / TRUTH), (1.0 + STEP.size) ** -0.5
+    told = {at: read_c(page, service, at) for at in (BEFORE, AFTER)}
+    for (version, c, error), expected in zip(told.values(), (truth, after_it * truth), strict=True):
+        assert version not in whole.values()
+        assert np.abs(c - expected).max() < 3.0 * error.max()
+    (_, before, _), (_, after, _) = told.values()
+    assert np.median(after / before) == pytest.approx(after_it, abs=0.02)
+
+    page.get_by_role("link", name="Drift").click()
+    expect(row.locator(".state")).to_have_text("in force")
+    decide(page, row, "Dismiss", "it was another antenna")
+    expect(row.locator(".state")).to_have_text("dismissed")
+    service.pass_night()
+    assert {at: read_c(page, service, at)[0] for at in (BEFORE, AFTER)} == whole
+    page.close()

@@ -12,7 +12,7 @@ import asyncio
 import json
 import sys
 import time
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -30,6 +30,7 @@ from service.factory import Factory
 from service.handlers.request import answer, require_read
 from service.logs import configure_logs
 from service.storage.spectra import Window
+from service.storage.versions import Version
 from validation.benchmarks.ingest import make_spectra
 from validation.benchmarks.timing import median_times
 from validation.growth import FIRST, INSTRUMENT, PATHS, make_version
@@ -44,9 +45,9 @@ ONE = f"{ALL}&station=CS002&antenna=17&dipole=X"
 PATH_YEAR = Window(parse_instant("", "2014-05-13"), parse_instant("", "2015-05-13"), Scope("CS002", 17, "X"))
 
 
-def fill(factory: Factory, events: int) -> None:
-    """Store a version of every path, with all that curves of fits carry, and events of the array, 900 a year."""
-    rng, size = np.random.default_rng(0), INSTRUMENT.frequency_mhz.size
+def enrich(versions: Iterable[Version], rng: np.random.Generator) -> tuple[Budget, list[Version]]:
+    """Versions with all that curves of fits carry, and the budget to which they refer."""
+    size = INSTRUMENT.frequency_mhz.size
     terms = [
         BudgetTerm(f"term {k}", "benchmark", {dipole: rng.normal(0.0, 0.05, (count, size)) for dipole in "XY"})
         for k, count in enumerate((5, 3, 2, 1, 1))
@@ -61,8 +62,13 @@ def fill(factory: Factory, events: int) -> None:
             rng.normal(0.0, 0.01, (4, size)), np.full(size, 1e-5), budget.digest, rng.normal(0.0, 0.01, (1, size))
         ),
     }
-    plain = [make_version(path, FIRST, 0, rng) for path in PATHS]
-    versions = [replace(one, curves=tuple(replace(curve, **more) for curve in one.curves)) for one in plain]
+    return budget, [replace(one, curves=tuple(replace(curve, **more) for curve in one.curves)) for one in versions]
+
+
+def fill(factory: Factory, events: int) -> None:
+    """Store a version of every path, with all that curves of fits carry, and events of the array, 900 a year."""
+    rng = np.random.default_rng(0)
+    budget, versions = enrich([make_version(path, FIRST, 0, rng) for path in PATHS], rng)
     with factory.database.write() as stores:
         stores.budgets.add({budget.digest: budget})
         stores.versions.add(versions)

@@ -4,6 +4,7 @@ import csv
 import io
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from service.factory import Factory
 from service.storage.alarms import MISFIT, OPEN, AlarmsAsked, News
 from service.storage.changes import DRIFT, Change, Evidence
 from service.storage.versions import Version
-from tests.service.conftest import like
+from tests.service.conftest import add_spectra, flat_spectra, like
 
 PAGES = ("/", "/jobs", "/drift", "/alarms", "/models", "/stations/CS001", "/paths/CS001/0/X")
 
@@ -78,6 +79,25 @@ def test_numbers_drawn_are_those_of_the_api(client: TestClient, promoted: Versio
         np.testing.assert_allclose([float(row["frequency (MHz)"]) for row in shown], told["frequency_mhz"])
         np.testing.assert_allclose(values, c, rtol=1e-5)
         np.testing.assert_allclose([float(row["high"]) for row in bands], [*(c + total), *(c + stat)], rtol=1e-5)
+
+
+def ticks_of(page: str, title: str) -> list[str]:
+    """What is written along the axes of a figure."""
+    (figure,) = re.findall(rf'aria-label="{title}".*?</svg>', page, re.DOTALL)
+    return re.findall(r'<text class="end"[^>]*>([^<]+)</text>', figure)
+
+
+def test_c_is_drawn_on_both_scales_without_script(client: TestClient, promoted: Version) -> None:
+    address, title = f"/calibrations/{promoted.id}?since=2014-02-01", "C of CS001 antenna 0 X"
+    linear = client.get(address).text
+    (other,) = re.findall(r'<a href="([^"]+)" aria-label="[^"]+, log scale">log</a>', linear)
+    logarithmic = client.get(f"/calibrations/{promoted.id}{other.replace('&amp;', '&')}").text
+    (back,) = re.findall(r'<a href="([^"]+)" aria-label="[^"]+, linear scale">linear</a>', logarithmic)
+    assert (other, back) == ("?since=2014-02-01&amp;scale=log", "?since=2014-02-01")
+    steps = np.diff([float(text) for text in ticks_of(linear, title)])
+    assert np.ptp(steps) == pytest.approx(0.0, abs=1e-9)
+    assert np.ptp(np.diff([float(text) for text in ticks_of(logarithmic, title)])) > 0.0
+    assert client.get(address, params={"scale": "square"}).status_code == 422
 
 
 @pytest.mark.parametrize("path", [*PAGES, "/stations/CS001"])
@@ -393,6 +413,11 @@ def test_tag_refit_stop_and_try_again_are_forms_too(visitor: TestClient, factory
     }  # fmt: skip
     assert act(visitor, "cancel", target=str(job.number), sure="yes").status_code == 303
     assert factory.jobs.get(job.number).state == "cancelled"
+    log = visitor.get(f"/jobs/{job.number}").text
+    assert "cancelled by" in log
+    assert "snow lay on it" in log
+    assert f'<a href="/jobs/{job.number}">job {job.number}</a>' in visitor.get("/jobs").text
+    assert visitor.get("/jobs/99").status_code == 404
     assert act(visitor, "retry", target=str(job.number), sure="yes").status_code == 303
     again, _ = factory.jobs.newest()
     assert again.request == {**job.request, "reason": "snow lay on it"}
@@ -403,6 +428,23 @@ def test_a_form_leads_back_to_no_other_site(visitor: TestClient, factory: Factor
     admit(visitor, factory, "admin")
     looked = act(visitor, "decide", target=str(change), decision="dismissed", back=back)
     assert '<a href="/">Leave everything as it is</a>' in looked.text
+
+
+def test_the_weather_at_the_events_stands_in_every_life(client: TestClient, factory: Factory) -> None:
+    days = [parse_instant("", day) / 1e6 for day in ("2014-01-05", "2014-01-20", "2014-06-05")]
+    rows = [(f"e{k}", at, "CS001", 0, "X") for k, at in enumerate(days)]
+    weather = {"temperature_c": np.array([2.0, 6.0, 20.0]), "rain_mm_h": np.array([0.0, np.nan, 1.0])}
+    add_spectra(factory, replace(flat_spectra(*rows), environment=weather))
+    for address in ("/paths/CS001/0/X", "/stations/CS001", "/drift"):
+        asked = {"since": "2014-01-01", "until": "2015-01-01", "csv": "env-temperature_c"}
+        told = [row for row in csv.DictReader(io.StringIO(client.get(address, params=asked).text)) if not row["low"]]
+        assert [(row["date (UTC)"][:7], float(row["temperature (°C)"])) for row in told] == [
+            ("2014-01", 4.0),
+            ("2014-06", 20.0),
+        ]
+    page = client.get("/paths/CS001/0/X", params={"since": "2014-03-01", "until": "2015-01-01"}).text
+    assert "2014-06: 1, 1 events" in page
+    assert "2014-01: " not in page
 
 
 HOSTILE = "\"><script>alert(1)</script>'{{7*7}}"
@@ -416,6 +458,7 @@ def test_what_a_user_wrote_is_text_on_every_page(visitor: TestClient, factory: F
     with factory.database.write() as stores:
         stores.alarms.raise_alarm(News(MISFIT, Scope("CS001"), "", HOSTILE), factory.clock())
     addresses = (*PAGES, f"/paths/CS001/0/X?at={HOSTILE}", f"/calibrations/{HOSTILE}", f"/?csv={HOSTILE}")
+    addresses += (f"/?scale={HOSTILE}",)
     shown += [visitor.get(address).text for address in addresses]
     assert "alert(1)" in "".join(shown)
     for page in shown:
