@@ -545,7 +545,7 @@ class SpectraStore(Store):
         return int(self._connection.execute(newest).scalar_one())
 
     def stations_with(self, since: Instant, until: Instant, least: int) -> dict[str, Content]:
-        """Of `contents` that of the stations of which any path has so many usable spectra."""
+        """`contents` of the stations any path of which has so many usable spectra."""
         of_station = select(path.c.station, func.count().label("paths")).group_by(path.c.station)
         paths = {row.station: row.paths for row in self._connection.execute(of_station)}
         return {
