@@ -82,8 +82,8 @@ class CurveInEffect:
             if date is not None
         ]
         return (
-            f"made {format_instant(made.made)} by {made.made_by} ({made.reason}), in effect since "
-            f"{format_instant(acted.at)} by {acted.by} ({acted.reason}); "
+            f"made {format_instant(made.made)[:19]}Z by {made.made_by} ({made.reason}), in effect since "
+            f"{format_instant(acted.at)[:19]}Z by {acted.by} ({acted.reason}); "
             f"{' and '.join(ends) or 'no change in force bounds its epoch'}"
         )
 
