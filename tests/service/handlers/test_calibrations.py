@@ -354,11 +354,11 @@ def test_short_ids_are_taken_where_one_version_has_them(client: TestClient, stor
 
 def test_an_answer_has_its_epoch_and_says_why(client: TestClient, stored: Stored) -> None:
     promote(client, stored["array"], "2013-01-01")
-    promote(client, stored["path"], "2014-01-01", "2015-01-01")
+    promote(client, stored["path"], "2014-01-01", "2015-01-01", reason="better")
     (curve,) = ask(client, **PATH).json()["curves"]
     assert curve["epoch"] == {"from": None, "to": None, "because": None}
     assert curve["why"].startswith("made 2019-12-31T00:00:00Z by test (test), in effect since ")
-    assert curve["why"].endswith("(test); no change in force bounds its epoch")
+    assert curve["why"].endswith("(better); no change in force bounds its epoch")
     assert len({one["why"] for one in ask(client).json()["curves"]}) == 2
     (reference,) = ask(client, scope="array", dipole="X").json()["curves"]
     assert reference["epoch"] == curve["epoch"]
