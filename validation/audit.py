@@ -269,7 +269,7 @@ PARTS = (
     Part("paths", tell_paths, judge_paths, 1350, by("kind")),
     Part("hour", partial(tell_audit, "hour"), judge_common, 3000, by("kind")),
     Part("minute", partial(tell_audit, "minute"), judge_common, 3000, by("kind")),
-    Part("unlike", partial(tell_unlike, "minute", ("nothing",)), judge_unlike, 1600, by("unlike"), ("false_17",)),
+    Part("unlike", partial(tell_unlike, "minute", ("nothing",)), judge_unlike, 1600, by("unlike")),
     Part("unlike-day", partial(tell_unlike, "day", ("nothing",)), judge_unlike, 80, by("unlike")),
     Part("unlike-paths", partial(tell_unlike, "minute", PATHS), judge_unlike_paths, 480, by("unlike", "kind")),
 )

@@ -140,5 +140,5 @@ def judge_unlike(rows: Sequence[Row]) -> list[Found]:
 
 PARTS = (
     Part("superterp", partial(tell_campaign, SETTINGS), judge, 96, headlines=("own_2",)),
-    Part("unlike", tell_unlike, judge_unlike, 64, by("unlike"), ("station_17",)),
+    Part("unlike", tell_unlike, judge_unlike, 64, by("unlike")),
 )
