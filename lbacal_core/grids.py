@@ -11,6 +11,8 @@ Floats = NDArray[np.float64]
 
 GRID_TOLERANCE_MHZ = 1e-6
 """Two channels are the same when they differ by less than 1 Hz."""
+WITHIN_1_SIGMA = (15.87, 84.13)
+"""Percentiles between which a normal amount lies within one standard deviation."""
 
 
 def require_same_grid(place: str, frequency_mhz: Floats, expected_mhz: Floats, expected_from: str) -> None:

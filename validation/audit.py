@@ -46,6 +46,13 @@ CHECKS = {
 """Names that are right for a fault: a clipped path is loud, and only hours show that it is clipped."""
 UNLIKE = (0.0, 0.05, 0.10, 0.17)
 """How unlike antennas of a station are, r.m.s. of ln P: as at the better and the worse of two stations of the LWA."""
+
+
+def name_size(unlike: float) -> str:
+    """How claims name it: per cent."""
+    return f"{100.0 * unlike:.0f}"
+
+
 ARMS_WITHIN_DEG, CLOCK_WITHIN_MIN, CLOCK_SIGMAS = 5.0, 2.0, 3.0
 
 
@@ -227,15 +234,15 @@ def judge_unlike(rows: Sequence[Row]) -> list[Found]:
     found = []
     for unlike in UNLIKE:
         said = [" ".join(row["said"]) for row in rows if row["unlike"] == unlike]
-        found.append(rate_of(f"false_{unlike:.0%}".rstrip("%"), sum(bool(one) for one in said), len(said)))
+        found.append(rate_of(f"false_{name_size(unlike)}", sum(bool(one) for one in said), len(said)))
         oscillates = sum("oscillates" in one for one in said)
-        found.append(rate_of(f"oscillates_{unlike:.0%}".rstrip("%"), oscillates, len(said)))
+        found.append(rate_of(f"oscillates_{name_size(unlike)}", oscillates, len(said)))
     return found
 
 
 def judge_unlike_paths(rows: Sequence[Row]) -> list[Found]:
     by_size = {unlike: [row for row in rows if row["unlike"] == unlike] for unlike in UNLIKE}
-    return [rate_of(f"path_{unlike:.0%}".rstrip("%"), *_count(some, "right")) for unlike, some in by_size.items()]
+    return [rate_of(f"path_{name_size(unlike)}", *_count(some, "right")) for unlike, some in by_size.items()]
 
 
 def judge_day(rows: Sequence[Row]) -> list[Found]:

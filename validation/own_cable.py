@@ -23,6 +23,7 @@ from lbacal_core.simulation.simulation import Simulation
 from lbacal_twin.campaign import Campaign, simulate_campaign
 from lbacal_twin.nuisances import Nuisances
 from lbacal_twin.settings import TwinSettings
+from validation.audit import UNLIKE, name_size
 from validation.machinery.claims import Found, mean_of
 from validation.machinery.parts import Part, Row
 from validation.machinery.tables import by
@@ -30,8 +31,6 @@ from validation.superterp import power_of, superterp
 
 SETTINGS = TwinSettings(stations=("CS002", "CS003", "CS004", "CS005", "CS006", "CS007"), events_per_year=300)
 FEWER = replace(SETTINGS, stations=SETTINGS.stations[:4], antennas=16, events_per_year=200)
-UNLIKE = (0.0, 0.05, 0.10, 0.17)
-"""How unlike antennas of a station are, r.m.s. of ln P: as at the better and the worse of two stations of the LWA."""
 NUISANCES = Nuisances(missing=0.05, departures=0.01)
 CABLES = ("50", "80", "115")
 FITTED = ("antenna", "station", "array")
@@ -131,7 +130,7 @@ def judge_unlike(rows: Sequence[Row]) -> list[Found]:
     """What lies within two sigma, and the error that a path is told, by how unlike antennas are."""
     found = []
     for unlike in UNLIKE:
-        some, end = [row for row in rows if row["unlike"] == unlike], f"{unlike:.0%}".rstrip("%")
+        some, end = [row for row in rows if row["unlike"] == unlike], name_size(unlike)
         asked = [(f"{scope}_{end}", scope, "within_2") for scope in ("own", "station", "array")]
         asked.append((f"told_{end}", "station", "told"))
         found += [mean_of(key, np.array([row[scope]["all"][of] for row in some]), "%") for key, scope, of in asked]

@@ -27,7 +27,7 @@ from lbacal.selection import (
     read_selected,
 )
 from lbacal_core.errors import BadInputError, MissingExtraError
-from lbacal_core.grids import Floats
+from lbacal_core.grids import WITHIN_1_SIGMA, Floats
 from lbacal_core.readers.open import choose_channels, open_source
 from lbacal_core.readers.source import Averaged
 from lbacal_core.readers.source import average as average_source
@@ -104,7 +104,7 @@ class BackgroundSpectra(Spectra):
 
 def _draw_powers(axes: Any, frequency_mhz: Floats, powers: Mapping[str, Floats]) -> None:
     for name, power in powers.items():
-        low, middle, high = np.percentile(power, [15.87, 50, 84.13], axis=0)
+        (low, high), middle = np.percentile(power, WITHIN_1_SIGMA, axis=0), np.median(power, axis=0)
         (line,) = axes.plot(frequency_mhz, middle, label=f"{name}, median")
         axes.fill_between(frequency_mhz, low, high, color=line.get_color(), alpha=0.2, lw=0)
     axes.set(xlabel="frequency (MHz)", ylabel="power (ADC²/Ω/MHz)", yscale="log")

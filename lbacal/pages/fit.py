@@ -26,7 +26,7 @@ from lbacal_core.calibration.budget import largest_chi2_per_dof
 from lbacal_core.calibration.one_event import map_departures
 from lbacal_core.curves.covariance import Budget
 from lbacal_core.curves.curves import MISFIT, OK, CalibrationCurve, FitReport
-from lbacal_core.grids import Floats
+from lbacal_core.grids import WITHIN_1_SIGMA, Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.simulation.simulation import Simulation, noise_at_input
 from lbacal_core.spectra.blocks import iterate_blocks
@@ -74,7 +74,6 @@ def _describe_terms(budget: Budget) -> dict[str, object]:
 
 # The figures of a fit, of each polarisation: C with its errors, residual map, noise terms and chi2.
 
-WITHIN_1_SIGMA = (15.87, 84.13)
 LARGEST_LINEAR = 5.0
 """A chi2 per degree of freedom above which a linear axis would show the good curves as one line."""
 

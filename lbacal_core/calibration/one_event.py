@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lbacal_core.curves.curves import OK, CalibrationCurve, FitReport
-from lbacal_core.grids import Floats
+from lbacal_core.grids import WITHIN_1_SIGMA, Floats
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.blocks import SpectraBlock, iterate_blocks
 from lbacal_core.spectra.spectra import Spectra
@@ -100,7 +100,6 @@ def compare_over_lst(spectra: Spectra, curve: CalibrationCurve, simulation: Simu
 
 
 FEWEST_EVENTS = 20
-WITHIN_1_SIGMA = (15.87, 84.13)
 
 
 @dataclass(frozen=True)

@@ -41,17 +41,14 @@ class Buckets:
     _filled: OrderedDict[str, tuple[float, float]] = field(default_factory=OrderedDict, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
-    def take(self, name: str, *, spends: bool = True) -> float:
-        """Take a token and return 0; where there is none, return the seconds until there is one.
-
-        Without `spends` the bucket is only looked into.
-        """
+    def take(self, name: str) -> float:
+        """Take a token and return 0; where there is none, return the seconds until there is one."""
         with self._lock:
             now = self.clock()
             level, since = self._filled.pop(name, (self.size, now))
             level = min(self.size, level + self.rate * (now - since))
             is_enough = level >= 1.0
-            self._filled[name] = (level - 1.0 if is_enough and spends else level, now)
+            self._filled[name] = (level - 1.0 if is_enough else level, now)
             if len(self._filled) > MOST_REMEMBERED:
                 self._filled.popitem(last=False)  # asked least recently
             return 0.0 if is_enough else (1.0 - level) / self.rate

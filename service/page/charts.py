@@ -32,7 +32,7 @@ from lbacal.pages.chart import (
 from lbacal_core.causes.cause import RAIN, TEMPERATURE
 from lbacal_core.curves.validity import Instant
 from lbacal_core.errors import name_path
-from lbacal_core.grids import Floats
+from lbacal_core.grids import WITHIN_1_SIGMA, Floats
 from service.page.span import Span
 from service.storage.changes import KeptChange
 from service.storage.versions import MeanC
@@ -50,7 +50,6 @@ LANES = ("in effect", "versions", "changes", "causes", "alarms", "investigations
 ROW, FOR_AXIS = 18, 70
 """Height of a row of bars, and of the axis below them."""
 MATRIX_ROW, LEFT = 9, 120.0
-WITHIN_1_SIGMA = (15.87, 84.13)
 COLOURS = (INK, RED, BLUE, GREEN, PURPLE, ORANGE, SKY)
 
 

@@ -27,6 +27,18 @@ def test_a_cable_on_record_that_is_not_there_is_named(station, low_band, antenna
     assert f"antenna {antenna} has the cable {true}, not {recorded}" in lines[0].sentence
 
 
+def test_one_ill_path_is_no_other_cable_of_its_antenna(station, low_band):
+    """The mean of both dipoles was as through another cable, where one of them had lost twice as much."""
+    own, other = (low_band.cables[name] for name in (str(station.cables[0]), "115"))
+    power = station.power.copy()
+    power[0, 1] *= (other / own) ** 2
+    ill = replace(station, power=power)
+    assert find_wrong_cables(ill, compare_paths(ill), low_band) == ([], {})
+    power[0] = station.power[0] * other / own
+    both = replace(station, power=power)
+    assert find_wrong_cables(both, compare_paths(both), low_band)[1] == {0: "115"}
+
+
 def test_of_one_cable_only_the_spectrum_tells_the_unit(station, low_band):
     one = station.with_cables(dict.fromkeys(range(6), "80"), low_band)
     seen = replace(one, power=one.power.mean() * np.exp(0.02 * np.log(one.power / one.power.mean())))
