@@ -92,6 +92,16 @@ def find_whitener(covariance: Floats) -> Floats:
     return np.swapaxes(unit[..., None] * _root_of_inverse(scaled, SHARE), -1, -2)
 
 
+def minus_log_likelihood(covariance: Floats, values: Floats) -> float:
+    """-2 ln of the likelihood of normal values, shape (series, k), but for a constant (Rasmussen & Williams 2006, 2.30).
+
+    Covariances, shape (series, k, k), must have no direction without variance: what is not there has no likelihood.
+    """
+    pivots = np.diagonal(np.linalg.cholesky(covariance), axis1=-2, axis2=-1)
+    chi2 = np.sum(values * np.linalg.solve(covariance, values[..., None])[..., 0])
+    return float(chi2 + 2.0 * np.sum(np.log(pivots)))
+
+
 def pseudo_invert(design: Floats, share: float = SHARE) -> Floats:
     """The pseudo-inverse of matrices of any form with columns of unit length, (..., row, column) to its transpose."""
     length = np.linalg.norm(design, axis=-2)

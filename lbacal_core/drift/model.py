@@ -11,7 +11,7 @@ from scipy.special import chdtrc, chdtri, ndtri
 from lbacal_core.data.prior import read_prior
 from lbacal_core.drift.events import find_months
 from lbacal_core.grids import Floats
-from lbacal_core.linear import find_whitener, invert_symmetric
+from lbacal_core.linear import find_whitener, invert_symmetric, minus_log_likelihood
 
 # The linear model of a monthly series: an offset, a season, a slope and steps, fitted to many series at once.
 #
@@ -296,14 +296,7 @@ def estimate_lasting(
     of_month = 1.0 / np.median(events[events > 0])
     grid = [Lasting(0.0, 1.0)]
     grid += [Lasting(level * of_month, length) for level in LEVELS[1:] for length in LENGTHS_MONTHS]
-    return min(grid, key=lambda one: _minus_log_likelihood(fixed + one.covariance(months), y))
-
-
-def _minus_log_likelihood(covariance: Floats, y: Floats) -> float:
-    # the noise of events keeps every eigenvalue far from 0
-    pivots = np.diagonal(np.linalg.cholesky(covariance), axis1=-2, axis2=-1)
-    chi2 = np.sum(y * np.linalg.solve(covariance, y[..., None])[..., 0])
-    return float(chi2 + 2.0 * np.sum(np.log(pivots)))
+    return min(grid, key=lambda one: minus_log_likelihood(fixed + one.covariance(months), y))
 
 
 def invert_covariance(events: Floats, lasting: Lasting, months: NDArray[np.datetime64]) -> Floats:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
 import lbacal_core
 from lbacal_core.linear import (
@@ -12,6 +13,7 @@ from lbacal_core.linear import (
     find_whitener,
     fit_least_squares,
     invert_symmetric,
+    minus_log_likelihood,
     pseudo_invert,
     root_of,
     root_of_inverse,
@@ -157,6 +159,14 @@ def test_nothing_is_solved_inverted_and_whitened():
             assert act(empty).shape == empty.shape
     assert pseudo_invert(np.zeros((4, 0))).shape == (0, 4)
     assert fit_least_squares(np.zeros((4, 0)), np.ones(4)).shape == (0,)
+
+
+def test_the_likelihood_is_that_of_normal_values():
+    rng = np.random.default_rng(4)
+    roots = rng.normal(size=(3, 4, 4))
+    covariance, values = roots @ np.swapaxes(roots, -1, -2) + np.eye(4), rng.normal(size=(3, 4))
+    normal = sum(multivariate_normal(cov=one).logpdf(of) for one, of in zip(covariance, values, strict=True))
+    assert minus_log_likelihood(covariance, values) == pytest.approx(-2.0 * normal - 12.0 * np.log(2.0 * np.pi))
 
 
 def test_the_core_solves_and_inverts_in_one_place():
