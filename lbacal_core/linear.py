@@ -93,7 +93,7 @@ def find_whitener(covariance: Floats) -> Floats:
 
 
 def minus_log_likelihood(covariance: Floats, values: Floats) -> float:
-    """-2 ln of the likelihood of normal values, shape (series, k), but for a constant (Rasmussen & Williams 2006, 2.30).
+    """-2 ln of the likelihood of normal values, shape (series, k), but for a constant (Rasmussen & Williams, 2.30).
 
     Covariances, shape (series, k, k), must have no direction without variance: what is not there has no likelihood.
     """
