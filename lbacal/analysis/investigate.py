@@ -222,6 +222,10 @@ def _tell(content: Mapping[str, Any]) -> Iterator[str]:
     left = content["unexplained"]
     if left:
         yield f"  {left['description']} ({write_chance(left['p_value'])})"
+        if left.get("in_words"):
+            yield f"    in words: {left['in_words']}"
+        if left.get("would_decide"):
+            yield f"    what would decide: {left['would_decide']}"
         yield from (f"    similar to: {one['sentence']}" for one in left["similar_to"])
 
 

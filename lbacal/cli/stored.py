@@ -47,4 +47,7 @@ def print_investigation(one: dict[str, Any]) -> None:
     for number, finding in enumerate(one["report"]["findings"]):
         print(f"  #{number} {finding['significance_sigma']:.1f} sigma: {finding['sentence']}")
     if one["report"]["unexplained"]:
-        print(f"  {one['report']['unexplained']['description']}")
+        left = one["report"]["unexplained"]
+        print(f"  {left['description']}")
+        if left.get("in_words"):
+            print(f"  in words: {left['in_words']}")

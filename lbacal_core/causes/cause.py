@@ -381,6 +381,10 @@ class Cause(Description):
         """Identifier, with the parameters of a template."""
         return " ".join([self.identifier, *(str(value) for value in template.parameters.values())])
 
+    def say(self, template: Template) -> str:  # noqa: ARG002
+        """What it is with a template, in one clause."""
+        return self.meaning
+
     def kinds(self, template: Template) -> frozenset[str]:
         """What it does to the power of a band: templates that share a kind are never fitted together."""
         return frozenset({self.label(template)})

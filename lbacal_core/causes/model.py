@@ -18,15 +18,16 @@ import numpy as np
 
 from lbacal_core.causes.axes import ResidualTerm
 from lbacal_core.causes.catalogue import CAUSES
-from lbacal_core.causes.cause import Cause
+from lbacal_core.causes.cause import Cause, Template
+from lbacal_core.causes.grammar import Sentence, is_of_dates, require_sentence
 from lbacal_core.errors import BadInputError
 from lbacal_core.provenance import canonical_json, hash_content
 
 FORMAT = "lbacal-model-1"
 DIGITS = 6
 """Significant digits of the sizes and parameters of an adopted cause."""
-ACTING: Mapping[str, Cause] = {cause.identifier: cause for cause in (*CAUSES, ResidualTerm())}
-"""Causes that act from event to event, in the order in which they act, and the empirical term: what can be adopted."""
+ACTING: Mapping[str, Cause] = {cause.identifier: cause for cause in (*CAUSES, Sentence(), ResidualTerm())}
+"""What can be adopted: causes that act from event to event, in the order in which they act, sentences, smooth terms."""
 UNEXPLAINED = "unexplained"
 """The structure without a name of a report, where the number of a finding is meant."""
 INSTANT, IN_WORDS = "date_unix", "date"
@@ -35,6 +36,8 @@ INSTANT, IN_WORDS = "date_unix", "date"
 
 def follows_date(cause: str, parameters: Mapping[str, Any]) -> bool:
     """Whether a cause acts along the date: it steps, drifts, or follows the season."""
+    if cause == Sentence.identifier:
+        return is_of_dates(parameters["course"])
     return cause == "gain_drift" or INSTANT in parameters or parameters.get("follows") == "season"
 
 
@@ -76,6 +79,8 @@ class AdoptedCause:
             expected = "a cause that acts from event to event; what is constant A(nu) of every path contains already"
             raise BadInputError("adopted cause", expected, repr(self.cause))
         place = f"adopted cause {self.cause}"
+        if self.cause == Sentence.identifier:
+            require_sentence(place, self.parameters)
         for name in ("station", "target"):
             if not isinstance(getattr(self, name), str) or not getattr(self, name):
                 raise BadInputError(f"{place}: {name}", "a name", repr(getattr(self, name)))
@@ -101,7 +106,8 @@ class AdoptedCause:
         size = f"{self.size:.3g} ± {self.sigma:.2g} ({self.in_catalogue.unit})"
         ends = [f"{word} {_instant(at)}" for word, at in (("from", self.since_unix), ("until", self.until_unix)) if at]
         kept = "" if self.is_free else ", size not fitted again"
-        return f"In {whom}, {self.in_catalogue.meaning}: {size}{''.join(f', {one}' for one in ends)}{kept}."
+        what = self.in_catalogue.say(Template(self.parameters))
+        return f"In {whom}, {what}: {size}{''.join(f', {one}' for one in ends)}{kept}."
 
     def acts_between(self, since_unix: float, until_unix: float) -> bool:
         """Whether its interval touches another, half open."""
@@ -276,10 +282,20 @@ def _adopt_finding(finding: Mapping[str, Any], place: str, since_unix: int | Non
 
 
 def _adopt_structure(structure: Mapping[str, Any] | None, since_unix: int | None) -> AdoptedCause:
-    """The smooth term of a structure, its size shrunk: of its gain in chi^2 the number of its terms is noise."""
+    """The likeliest sentence of a structure, or its smooth term where no sentence describes it.
+
+    The size of the smooth term is shrunk: of its gain in chi^2 the number of its terms is noise.
+    """
     place = "report: unexplained"
     if structure is None:
         raise BadInputError(place, "structure to adopt", "none")
+    if structure.get("sentences"):
+        one, where = structure["sentences"][0], structure["where"]
+        begin = _parse_instant(where["dates"][0]) if since_unix is None else since_unix
+        size, sigma = one["size"]["value"], one["size"]["sigma"]
+        return AdoptedCause(
+            one["cause"], where["station"], one["target"], size, sigma, one["parameters"], since_unix=begin
+        )
     term, gain = structure.get("term"), structure["gain"]
     if term is None:
         found = f"structure along {structure['where'].get('axis')} in {structure['where'].get('target')}"

@@ -86,6 +86,8 @@ class StationSearch:
         Causes that the differences between models hide, known with the first model.
     adopted
         Number of hypotheses that the model had before the search.
+    catalogue
+        Every cause that a finding is compared with.
     """
 
     def __init__(
@@ -96,9 +98,10 @@ class StationSearch:
         stations: int,
         seed: int,
         progress: Callable[[str], None],
-        causes: Sequence[Cause] = CAUSES,
+        causes: Sequence[Cause] | None = None,
+        catalogue: Sequence[Cause] = CAUSES,
     ) -> None:
-        self.causes = causes
+        self.causes, self.catalogue = catalogue if causes is None else causes, catalogue
         self.name, self.targets, self.policy, self.seed = station.name, targets, policy, seed
         self.stations, self.alpha, self.progress = stations, policy.catalogue_alpha / stations, progress
         self.has_significant = False
@@ -247,7 +250,9 @@ HALF_ALIKE = 0.5
 """Correlation below which a template does not stand for another: it would need twice the other's score."""
 
 
-def find_indistinguishable(model: LinearModel, hypothesis: Hypothesis, policy: Policy) -> list[tuple[str, float]]:
+def find_indistinguishable(
+    model: LinearModel, hypothesis: Hypothesis, policy: Policy, catalogue: Sequence[Cause] = CAUSES
+) -> list[tuple[str, float]]:
     """Causes with a template that the data cannot distinguish from the one found, with the largest such correlation.
 
     Beside such a template the one found adds little to chi^2, (z - r z_other)^2 / (1 - r^2). If the one found is the
@@ -259,7 +264,7 @@ def find_indistinguishable(model: LinearModel, hypothesis: Hypothesis, policy: P
         The residuals with everything fitted but the one found.
     """
     conditions, own, target = model.station.conditions, hypothesis.cause, hypothesis.target
-    others = [cause for cause in CAUSES if cause is not own and target.scope in cause.scopes]
+    others = [cause for cause in catalogue if cause is not own and target.scope in cause.scopes]
     known = model.on_events(own.known_events(conditions, hypothesis.template))
     families = list_families(conditions, others)
     correlations = overlap(known, own, hypothesis.template, target, families)
@@ -345,7 +350,7 @@ def grow_findings(first: FittedModel, search: StationSearch) -> Grown:
     while True:
         without = [_models_without(models, number, search.adopted) for number in range(len(scores))]
         findings = [
-            _finding(without[number][-1], models[-1], search.adopted + number, score, search.policy)
+            _finding(without[number][-1], models[-1], search.adopted + number, score, search)
             for number, score in enumerate(scores)
         ]
         idle = None if search.again is not None else _idle(findings, without)
@@ -365,14 +370,14 @@ def _idle(findings: Sequence[Finding], without: Sequence[Sequence[FittedModel]])
     return number if is_fitted else None
 
 
-def _finding(without: FittedModel, last: FittedModel, number: int, score: Score, policy: Policy) -> Finding:
+def _finding(without: FittedModel, last: FittedModel, number: int, score: Score, search: StationSearch) -> Finding:
     """A finding by the last fitted model and the one without it, so that all its numbers are of one model."""
     hypothesis = last.hypotheses[number]
     chi2_before, chi2_after, dof = chi_squared_of(without, last)
     return Finding(
         hypothesis=hypothesis,
         score=score,
-        indistinguishable=find_indistinguishable(without.linear, hypothesis, policy),
+        indistinguishable=find_indistinguishable(without.linear, hypothesis, search.policy, search.catalogue),
         chi2_before=chi2_before,
         chi2_after=chi2_after,
         dof=dof,

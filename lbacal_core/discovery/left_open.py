@@ -10,8 +10,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from lbacal_core.audit.record import RecordError
-from lbacal_core.causes.catalogue import CAUSES
-from lbacal_core.causes.cause import Template
+from lbacal_core.causes.cause import Cause, Template
 from lbacal_core.discovery.antennas import AntennaScore
 from lbacal_core.discovery.findings import Finding, gain_in_chi_squared
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
@@ -52,7 +51,7 @@ class OpenHypothesis:
 
 
 def weigh_alternatives(
-    without: FittedModel, last: FittedModel, found: Hypothesis, names: Sequence[str]
+    without: FittedModel, last: FittedModel, found: Hypothesis, others: Sequence[Cause]
 ) -> list[OpenHypothesis]:
     """The finding and, each fitted in its place, the causes that the data cannot tell apart from it.
 
@@ -60,12 +59,12 @@ def weigh_alternatives(
     ----------
     without, last
         Fitted models without the finding, and with it.
-    names
+    others
         Causes that the data cannot tell apart from it at its size.
     """
     hypotheses = [OpenHypothesis(found, 0.0, _change(without, last, found.target))]
-    for name, template in _nearest_templates(without, found, names).items():
-        cause = next(one for one in CAUSES if one.identifier == name)
+    nearest = _nearest_templates(without, found, others)
+    for cause, template in ((one, nearest[one.identifier]) for one in others if one.identifier in nearest):
         fitted = refit_over_noise(without, Hypothesis(cause, template, found.target, 0.0))
         if fitted is not None:
             other, _ = fitted
@@ -106,13 +105,13 @@ def _change(before: FittedModel, after: FittedModel, target: Target) -> dict[str
     }
 
 
-def _nearest_templates(model: FittedModel, found: Hypothesis, names: Sequence[str]) -> dict[str, Template]:
+def _nearest_templates(model: FittedModel, found: Hypothesis, others: Sequence[Cause]) -> dict[str, Template]:
     """For each cause the template with the largest correlation with the one found."""
-    if not names:
+    if not others:
         return {}
     conditions = model.station.conditions
     known = model.linear.on_events(found.cause.known_events(conditions, found.template))
-    families = list_families(conditions, [one for one in CAUSES if one.identifier in names])
+    families = list_families(conditions, others)
     best: dict[str, tuple[float, Template]] = {}
     for family, r in zip(families, overlap(known, found.cause, found.template, found.target, families), strict=True):
         name, k = family.cause.identifier, int(np.argmax(np.abs(r)))
@@ -140,8 +139,9 @@ def _add_left_open(content: dict[str, Any], reports: Sequence[StationReport]) ->
             found = find_value(report, findings[number])
             if isinstance(found, Finding):  # of antennas that are compared and of records, nothing is open
                 names = [name for name, _ in found.indistinguishable]
+                others = [one for one in report.catalogue if one.identifier in names]
                 without = _without(report.last, found.hypothesis)
-                hypotheses = weigh_alternatives(without, report.last, found.hypothesis, names)
+                hypotheses = weigh_alternatives(without, report.last, found.hypothesis, others)
                 findings[number]["left_open"] = [_describe(one) for one in hypotheses]
         if station["unexplained"] is not None:
             change = _change_by_structure(report)

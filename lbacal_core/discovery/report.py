@@ -14,9 +14,13 @@ from threadpoolctl import threadpool_limits
 from lbacal_core.audit.record import RecordError, put_right
 from lbacal_core.calibration.chain_form import FORM_OF_CHAIN, compare_forms
 from lbacal_core.causes.axes import describe_term
-from lbacal_core.causes.cause import Description
+from lbacal_core.causes.catalogue import CAUSES
+from lbacal_core.causes.cause import Cause
+from lbacal_core.causes.cause import Description as CauseTexts
+from lbacal_core.causes.grammar import PLACES, as_equation, in_words
 from lbacal_core.discovery.adopted import describe_size, fit_adopted
 from lbacal_core.discovery.antennas import AntennaScore
+from lbacal_core.discovery.describe import Described, Description
 from lbacal_core.discovery.findings import Finding, change_of_c
 from lbacal_core.discovery.hypothesis import Target, sigma_of
 from lbacal_core.discovery.pictures import picture_antenna, picture_finding, picture_record, picture_station
@@ -35,6 +39,8 @@ VERDICTS = CONSISTENT, EXPLAINED, UNEXPLAINED = "consistent", "explained", "unex
 BY_RATIO = "acts by ratio: P_sky times own(with)/own(without), from the package's own sky and antenna model"
 OPEN_NOISE = "the data hardly tell the noise in front of the receiver from that behind it, on which the size depends"
 PUT_RIGHT = "of the record: put it right, no model can adopt it; all else in this report is of the record put right"
+GROWS = 0.8
+"""Correlation of the amounts of antennas with their numbers from which it is said."""
 NOISY = 1.1
 """Noise of a path over the typical one beyond which the report names the path."""
 
@@ -218,7 +224,7 @@ def _record_finding(error: RecordError, report: StationReport) -> dict[str, Any]
 
 
 def tell_finding(
-    cause: Description,
+    cause: CauseTexts,
     *,
     indistinguishable: Sequence[tuple[str, float]],
     size: tuple[float, float | None],
@@ -292,7 +298,7 @@ def _where(report: StationReport, target: Target, parameters: Mapping[str, Any])
 def _sentence(
     report: StationReport,
     target: Target,
-    cause: Description,
+    cause: CauseTexts,
     size: tuple[float, float],
     parameters: Mapping[str, Any],
 ) -> str:
@@ -350,7 +356,60 @@ def _unexplained(structure: ResidualStructure, report: StationReport) -> dict[st
         },
         "paths": {path: {"value": value, "sigma": sigma} for path, (value, sigma) in structure.amounts.items()} or None,
         "term": _term(structure, report),
+        **_said(report.description, report),
         "similar_to": [_finding(finding, report) for finding in report.similar],
+    }
+
+
+def _said(description: Description, report: StationReport) -> dict[str, Any]:
+    """The structure as sentences of place, law and course: the likeliest, its rivals, and what would decide."""
+    sentences = [_sentence_of(one, report, description.sentences[0]) for one in description.sentences]
+    found: dict[str, Any] = {"sentences": sentences, "in_words": None, "remains": None, "would_decide": None}
+    if not sentences:
+        return found
+    places = list(dict.fromkeys(one["parameters"]["place"] for one in sentences))
+    words = sentences[0]["sentence"]
+    if len(sentences) > 1:
+        others = "; ".join(f"{in_words(one.hypothesis.template)}" for one in description.sentences[1:])
+        words += f" The data hardly tell this from: {others}."
+        shared = [
+            part
+            for part in ("place", "law", "course")
+            if len({str(one["parameters"][part][0]) for one in sentences}) == 1
+        ]
+        words += f" Known: {' and '.join(shared) or 'none of place, law and course'}."
+    if (growth := description.grows_with_number) is not None and abs(growth) > GROWS:
+        words += f" Antennas show it by an amount that grows with their number (correlation {growth:.2f})."
+    if description.remains is not None:
+        words += f" Beside it structure along {description.remains.axis_name} remains."
+        found["remains"] = {"axis": description.remains.axis_name, "p_value": description.remains.p_value}
+    if (decider := description.decider) is not None:
+        found["would_decide"] = (
+            f"{max(decider.events, 1.0):.0f} more events {decider.where} would tell the first two apart, each worth "
+            f"{decider.times:.1f} of a typical one; or {' or '.join(PLACES[one].confirm for one in places[:2])}"
+        )
+    amounts = {str(number): {"value": size, "sigma": sigma} for number, (size, sigma) in description.amounts.items()}
+    return {**found, "in_words": words, "amounts": amounts or None}
+
+
+def _sentence_of(one: Described, report: StationReport, first: Described) -> dict[str, Any]:
+    """A sentence with its equation, size and odds; as a cause it is adopted as any other."""
+    hypothesis, cause = one.hypothesis, one.hypothesis.cause
+    size, place = hypothesis.size, hypothesis.template.parameters["place"]
+    whom = f"station {report.station.name}" + (
+        "" if hypothesis.target.scope == "station" else f", {hypothesis.target.label}"
+    )
+    return {
+        "sentence": f"In {whom}, {in_words(hypothesis.template)}: {size:.3g} ± {hypothesis.uncertainty:.2g}.",
+        "equation": as_equation(hypothesis.template),
+        "cause": cause.identifier,
+        "parameters": plain_parameters(hypothesis.template.parameters),
+        "target": hypothesis.target.label,
+        "size": {"value": size, "sigma": hypothesis.uncertainty, "unit": cause.unit},
+        "log_odds": one.log_odds,
+        "odds_to_first": float(np.exp(one.log_odds - first.log_odds)),
+        "gain": {"chi2": one.gain, "held_out_log_likelihood_gain": one.held_out_gain},
+        "confirm": PLACES[place].confirm,
     }
 
 
@@ -392,6 +451,7 @@ def investigate(
     *,
     seed: int = 0,
     progress: Callable[[str], None] = lambda _: None,
+    catalogue: Sequence[Cause] = CAUSES,
 ) -> tuple[dict[str, Any], list[StationReport]]:
     """Find what the simulation gets wrong in the spectra of every station.
 
@@ -405,6 +465,8 @@ def investigate(
         Seed of the simulated trials factors.
     progress
         Called with a sentence before each step.
+    catalogue
+        The causes that are looked for.
 
     Returns
     -------
@@ -420,7 +482,13 @@ def investigate(
     with threadpool_limits(1):
         stations = gather_stations(spectra, simulation)
         search = partial(
-            search_station, stations=len(stations), seed=seed, policy=policy, progress=progress, model=model
+            search_station,
+            stations=len(stations),
+            seed=seed,
+            policy=policy,
+            progress=progress,
+            model=model,
+            catalogue=catalogue,
         )
         reports = []
         for station in stations:

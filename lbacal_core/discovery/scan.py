@@ -412,6 +412,26 @@ def score_families(
     return found
 
 
+def score_in_path(
+    model: LinearModel, families: Sequence[SpectralFamily], path: int
+) -> list[tuple[Sequence[SpectralFamily], Floats, Floats]]:
+    """As `score_families` for one path, by its deviation from the others alone: many times as quick."""
+    c = int(model.station.class_of[path])
+    member = np.flatnonzero(model.members[c] == path)
+    whole = model.paths[c]
+    view = replace(whole, weight=whole.weight[member], residual=whole.residual[member])
+    found: list[tuple[Sequence[SpectralFamily], Floats, Floats]] = []
+    for batch in batch_families(model.station.conditions, families, model.station.power[0].size):
+        spectra = FamilySpectra.of(model, batch)
+        templates = spectra.in_view(view, spectra.values[:, c : c + 1], *ALONE)
+        left, every = view.inner(templates, batch[0].profiles)
+        is_left = left[:, 0, 0] > SMALLEST_SHARE * every[:, 0, 0]
+        known = np.where(is_left, left[:, 0, 0], np.inf)
+        score = view.score(templates, batch[0].profiles)[:, 0]
+        found.append((batch, score / np.sqrt(known), score / known))
+    return found
+
+
 class _Scorer:
     """Scores of families with all their time profiles for all targets: `LinearModel.products` of many at once."""
 

@@ -7,7 +7,7 @@ held-out events rises. Repeat on the new residuals. Then test for residual struc
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from lbacal_core.causes.model import PLAIN, Model
 from lbacal_core.discovery.adopted import FittedSize, fit_adopted
 from lbacal_core.discovery.antennas import AntennaScore, compare_antennas, compare_cable_names, why_no_comparison
 from lbacal_core.discovery.baseline import leave_out_deaf
+from lbacal_core.discovery.describe import Description, describe_structure
 from lbacal_core.discovery.findings import Finding, Grown, SameAgain, StationSearch, grow_findings
 from lbacal_core.discovery.hypothesis import Hypothesis, list_targets, p_of
 from lbacal_core.discovery.policy import Policy
@@ -50,6 +51,8 @@ class StationReport:
         Paths that were left out, because they hardly hear the sky.
     scores, antenna_scores
         Scores of every cause on the baseline; scores of the antenna comparison beside the findings.
+    description
+        The residual structure in words.
     similar
         Findings that were withdrawn, because residual structure explains the data as well.
     first, last
@@ -63,6 +66,8 @@ class StationReport:
         Number of stations that were searched together.
     adopted
         The adopted causes with their sizes in these data.
+    catalogue
+        The causes that were looked for.
     record
         What was wrong with the record, which is put right in all else; and the model under the record as it was.
     """
@@ -84,6 +89,8 @@ class StationReport:
     adopted: Sequence[FittedSize] = ()
     record: Sequence[RecordError] = ()
     as_recorded: FittedModel | None = None
+    description: Description = field(default_factory=Description)
+    catalogue: Sequence[Cause] = CAUSES
 
     def alpha_of(self, score: Score | AntennaScore) -> float:
         """p-value below which a score is significant in this search."""
@@ -100,6 +107,7 @@ def search_station(
     policy: Policy | None = None,
     progress: Callable[[str], None] = lambda _: None,
     model: Model = PLAIN,
+    catalogue: Sequence[Cause] = CAUSES,
 ) -> StationReport:
     """Find what the simulation gets wrong in one station's data.
 
@@ -115,12 +123,14 @@ def search_station(
         Called with a sentence before each step.
     model
         The model whose adopted causes are fitted with the baseline: what is looked for is what they leave.
+    catalogue
+        The causes that are looked for.
     """
     policy = policy or Policy()
     station, deaf = leave_out_deaf(station)
     targets = list_targets(station)
     progress(f"{station.name}: fitting the baseline of {len(station.antenna)} paths")
-    search = StationSearch(station, targets, policy, stations, seed, progress)
+    search = StationSearch(station, targets, policy, stations, seed, progress, catalogue=catalogue)
     adopted = fit_adopted(station, model, modes)
     first, search.adopted = adopted.model, len(adopted.sizes)
     grown = grow_findings(first, search)
@@ -143,6 +153,10 @@ def search_station(
         kept = {(f.hypothesis.cause.identifier, f.hypothesis.target.label) for f in findings}
         named = [(f, (f.hypothesis.cause.identifier, f.hypothesis.target.label)) for f in grown.findings]
         similar = [f for f, name in named if name not in kept]
+    description = Description()
+    if structure is not None:
+        progress(f"{station.name}: describing that structure in words")
+        description = describe_structure(_with(first, findings), structure, targets, policy, seed)
     standing = _standing(first, last, findings)
     antenna_scores = compare_antennas(station, standing.baseline, targets, policy, seed, standing.hypotheses)
     antenna_scores += compare_cable_names(standing.baseline, standing.linear, targets)
@@ -159,10 +173,12 @@ def search_station(
         first=first,
         last=last.last,
         unidentifiable=_unidentifiable(station, search),
-        taken=shares_taken(grown.last.linear, [one for one in CAUSES if one not in hidden], targets[-1]),
+        taken=shares_taken(grown.last.linear, [one for one in catalogue if one not in hidden], targets[-1]),
         policy=policy,
         stations=stations,
         adopted=adopted.sizes,
+        description=description,
+        catalogue=catalogue,
     )
 
 
@@ -171,9 +187,16 @@ def _grow_beside(first: FittedModel, axis: Axis, vectors: Floats, search: Statio
 
     A structure along one axis explains what varies along it, and nothing else: a gain step beside it is still named.
     """
-    others = [one for one in CAUSES if axis.along not in one.axes]
+    others = [one for one in search.catalogue if axis.along not in one.axes]
     beside = StationSearch(
-        first.station, search.targets, search.policy, search.stations, search.seed, search.progress, others
+        first.station,
+        search.targets,
+        search.policy,
+        search.stations,
+        search.seed,
+        search.progress,
+        others,
+        search.catalogue,
     )
     beside.hidden, beside.adopted = search.hidden, search.adopted
     beside.alpha = search.alpha * search.policy.beside_share
@@ -185,9 +208,11 @@ def _standing(first: FittedModel, grown: Grown, findings: Sequence[Finding]) -> 
 
     What a withdrawn one does along frequency is divided out of its paths, and is a departure of their slopes.
     """
-    if len(findings) == len(grown.findings):
-        return grown.last
-    model = first
+    return grown.last if len(findings) == len(grown.findings) else _with(first, findings)
+
+
+def _with(model: FittedModel, findings: Sequence[Finding]) -> FittedModel:
+    """A model with findings, one after the other."""
     for finding in findings:
         model = refit(model, finding.hypothesis) or model
     return model
@@ -302,7 +327,7 @@ def _axes_on_station(score: Score, conditions: Conditions) -> set[str]:
 def _unidentifiable(station: Station, search: StationSearch) -> dict[str, str]:
     reasons = {one.cause.identifier: one.why for one in search.hidden or []}
     seen = {score.cause.identifier for score in search.first_scores} | reasons.keys()
-    for cause in CAUSES:
+    for cause in search.catalogue:
         if not cause.templates(station.conditions):
             reasons[cause.identifier] = cause.needs
         elif cause.identifier not in seen:

@@ -62,13 +62,16 @@ def test_functions_of_other_data_are_the_same_functions(station):
 
 
 @pytest.mark.long
-def test_structure_without_a_name_is_adopted_as_what_it_is(report, years, simulation):
-    """It gains on the next year, and its size there is the one adopted."""
+@pytest.mark.parametrize("cause", ["residual_structure", "sentence"])
+def test_structure_without_a_name_is_adopted_as_what_it_is(report, years, simulation, cause):
+    """It gains on the next year, and its size there is the one adopted: in words, or as smooth functions without."""
     assert report["verdict"] == "unexplained"
-    model = Model.from_report(report, "unexplained")
+    assert report["unexplained"]["sentences"]
+    kept = report["unexplained"]["sentences"] if cause == "sentence" else []
+    model = Model.from_report({**report, "unexplained": {**report["unexplained"], "sentences": kept}}, "unexplained")
     assert Model.from_text(model.to_text()) == model
     (adopted,) = model.causes
-    assert adopted.cause == "residual_structure"
+    assert adopted.cause == cause
     assert adopted.size < 1.0
     (gain,) = measure_gains(years[1], simulation.with_causes(model))
     assert gain.gain > 10
@@ -80,7 +83,7 @@ def test_structure_without_a_name_is_adopted_as_what_it_is(report, years, simula
 
 @pytest.mark.long
 def test_structure_that_does_not_recur_is_not_adopted(report):
-    along_date = {**report["unexplained"], "term": None}
+    along_date = {**report["unexplained"], "sentences": [], "term": None}
     with pytest.raises(BadInputError, match="recurs"):
         Model.from_report({**report, "unexplained": along_date}, "unexplained")
     with pytest.raises(BadInputError, match="structure to adopt"):

@@ -156,7 +156,8 @@ def test_the_finding_itself_moves_c_by_what_it_was_off(weighted, clean, simulati
 
 def test_what_fits_nearly_as_well_keeps_its_likelihood_and_its_own_change_of_c(weighted):
     _, first, last = weighted
-    found, other = weigh_alternatives(first, last, last.hypotheses[0], ["pattern_width"])
+    wider = [one for one in CAUSES if one.identifier == "pattern_width"]
+    found, other = weigh_alternatives(first, last, last.hypotheses[0], wider)
     assert other.hypothesis.cause.identifier == "pattern_width"
     assert other.weight == pytest.approx(np.exp(-0.5 * max(other.delta_chi2, 0.0)))
     # a wider pattern takes up a part of the effect, so that it does not fit worse than no hypothesis

@@ -8,7 +8,7 @@ from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import signature
 from lbacal_core.discovery.hypothesis import list_targets, p_of, sigma_of, trials_factor
 from lbacal_core.discovery.refit import fit_chain
-from lbacal_core.discovery.scan import list_families, scan, score_families
+from lbacal_core.discovery.scan import list_families, scan, score_families, score_in_path
 from lbacal_core.discovery.station import gather_stations
 from tests.lbacal_core.discovery.worlds import MOVING, p_value_of
 from validation.anywhere import investigate_drawn
@@ -219,3 +219,16 @@ def test_a_rival_that_describes_these_data_better_is_listed_though_more_template
     row = investigate_drawn(25)
     assert row["named"], row["said"]
     assert row["others"] == 0
+
+
+def test_one_path_alone_scores_nearly_as_beside_the_means(model):
+    """The mean of a station knows a sixteenth of what one of its paths shows."""
+    conditions, everyone = model.station.conditions, list_targets(model.station)
+    (cause,) = [one for one in CAUSES if one.identifier == "gain_step"]
+    families = list_families(conditions, [cause])
+    for path, target in [(k, one) for k, one in enumerate(everyone) if one.scope == "path"][:3]:
+        ((_, z, size),) = score_families(model, families, [target])
+        ((_, alone, size_alone),) = score_in_path(model, families, path)
+        assert alone.shape == z.shape
+        assert np.corrcoef(alone.ravel(), z.ravel())[0, 1] > 0.95
+        np.testing.assert_allclose(size_alone, size, atol=0.3 * np.abs(size).max())

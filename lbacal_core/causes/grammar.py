@@ -1,0 +1,619 @@
+"""Causes that are plain sentences: a place in the chain, a law along frequency, and a course in time.
+
+The catalogue lists mechanisms that somebody described before. A sentence says what any mechanism of its kind does: *the
+gain in front of the receiver changes, alike at all frequencies, in two waves a UTC day*. Place, law and course are data
+(names with numbers), so that a report carries a sentence, a model adopts it, and other data are fitted with it.
+
+A form is a name with numbers, as in ``("power", -2.0, 30.0)``; a product of two courses is ``("product", one, other)``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from lbacal_core.causes.cause import RAIN, SCOPES, TEMPERATURE, YEAR_S, Cause, Conditions, SizeRange, Template
+from lbacal_core.errors import BadInputError
+from lbacal_core.grids import Floats
+from lbacal_core.instrument.chain import ChainTerms
+
+DAY_S = 86_400.0
+SIDEREAL, SOLAR, WEEK, YEAR = "LST", "UTC", "week", "year"
+ROTATION, LUNATION = "solar rotation", "lunation"
+PERIODS_D = {SOLAR: 1.0, WEEK: 7.0, ROTATION: 27.275, LUNATION: 29.5306, YEAR: 365.25}
+"""Periods of clocks that run with UTC, days: the Sun's rotation seen from Earth (Carrington) and the synodic month."""
+MONDAY_S = 4 * DAY_S
+"""The first Monday of the Unix epoch, which began on a Thursday."""
+
+Form = tuple[Any, ...]
+"""A name with its numbers."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of law or course.
+
+    Attributes
+    ----------
+    values
+        Its values, from the conditions and its numbers: shape (freq,) or (class, freq) of a law, (event,) of a course.
+    grid
+        The numbers that a search tries in some data.
+    words, equation
+        How a sentence says it, and its symbol, with the numbers in braces.
+    steps
+        Steps of the numbers on that grid, for a finer one; 0 where a number stays.
+    gates
+        Whether it is 0 or 1, so that a product with it says *only when*.
+    """
+
+    values: Callable[..., Floats]
+    grid: Callable[[Conditions], Sequence[Sequence[Any]]]
+    words: str
+    equation: str
+    steps: Sequence[float] = ()
+    gates: bool = False
+
+
+# Laws along frequency. Each is 1 where it is largest, but for those of the chain's own curves.
+
+
+def _once(_: Conditions) -> list[tuple[()]]:
+    """One form without numbers."""
+    return [()]
+
+
+def _every(conditions: Conditions, spacing_mhz: float) -> list[float]:
+    """Frequencies of the band at a spacing."""
+    low, high = conditions.frequency_mhz[[0, -1]]
+    return [float(one) for one in np.arange(low + spacing_mhz, high - 0.5 * spacing_mhz, spacing_mhz)]
+
+
+def _indices(conditions: Conditions) -> list[tuple[float, float]]:
+    low, high = (float(one) for one in conditions.frequency_mhz[[0, -1]])
+    return [(index, low if index < 0 else high) for index in (-4.0, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0)]
+
+
+def _along_band(conditions: Conditions) -> Floats:
+    """-1 to 1 over the band, linear in ln nu."""
+    log = np.log(conditions.frequency_mhz)
+    return np.asarray(2.0 * (log - log[0]) / (log[-1] - log[0]) - 1.0)
+
+
+def _slope_of(curve: Floats, conditions: Conditions) -> Floats:
+    """Logarithmic derivative of a curve, 1/MHz."""
+    return np.asarray(np.gradient(np.log(curve), conditions.frequency_mhz))
+
+
+def _edge(frequency: Floats, edge_mhz: float) -> Floats:
+    return np.asarray(1.0 / (1.0 + np.exp((frequency - edge_mhz) / EDGE_MHZ)))
+
+
+EDGE_MHZ = 1.5
+"""Width over which a law ends at an edge: filters of the field fall within some MHz."""
+
+LAWS: dict[str, Kind] = {
+    "flat": Kind(lambda c: np.ones(c.frequency_mhz.size), _once, "alike at all frequencies", "1"),
+    "power": Kind(
+        lambda c, index, at: (c.frequency_mhz / at) ** index,
+        _indices,
+        "as frequency to the power {0:g} (size at {1:g} MHz)",
+        "(nu / {1:g} MHz)^{0:g}",
+        (1.0, 0.0),
+    ),
+    "bow": Kind(lambda c: 1.5 * _along_band(c) ** 2 - 0.5, _once, "bowed along the band", "P2(ln nu)"),
+    "tilt": Kind(_along_band, _once, "tilted along the band", "P1(ln nu)"),
+    "band": Kind(
+        lambda c, middle, width: np.exp(-0.5 * ((c.frequency_mhz - middle) / (0.5 * width)) ** 4),
+        lambda c: [*product(_every(c, 4.0), (5.0,)), *product(_every(c, 8.0), (12.0,))],
+        "in {1:g} MHz about {0:g} MHz",
+        "band({0:g}, {1:g} MHz)",
+        (4.0, 3.0),
+    ),
+    "below": Kind(
+        lambda c, edge: _edge(c.frequency_mhz, edge),
+        lambda c: [(edge,) for edge in _every(c, 6.0)],
+        "below {0:g} MHz",
+        "edge(nu < {0:g} MHz)",
+        (6.0,),
+    ),
+    "above": Kind(
+        lambda c, edge: _edge(-c.frequency_mhz, -edge),
+        lambda c: [(edge,) for edge in _every(c, 6.0)],
+        "above {0:g} MHz",
+        "edge(nu > {0:g} MHz)",
+        (6.0,),
+    ),
+    "ripple": Kind(
+        lambda c, delay_us, turns: np.cos(2.0 * np.pi * (delay_us * c.frequency_mhz - turns)),
+        lambda _: list(product((0.05, 0.1, 0.15, 0.2, 0.3, 0.4), (0.0, 0.25))),
+        "as a ripple with a delay of {0:g} µs",
+        "cos 2 pi ({0:g} µs nu - {1:g})",
+        (0.05, 0.25),
+    ),
+    "resonance": Kind(
+        lambda c: _slope_of(c.antenna_gain, c),
+        _once,
+        "as the antenna's resonance moves (size per MHz)",
+        "d ln G_ant / d nu",
+    ),
+    "filter": Kind(
+        lambda c: _slope_of(c.receiver_gain, c),
+        _once,
+        "as the receiver's filter moves (size per MHz)",
+        "d ln G_RCU / d nu",
+    ),
+    "cable": Kind(lambda c: c.cable_log_loss, _once, "as the cable's loss in dB", "ln L_coax"),
+}
+"""Laws along frequency by name."""
+
+
+# Courses in time.
+
+
+def _phase(conditions: Conditions, clock: str) -> Floats:
+    """Turns of a clock at each event, shape (event,)."""
+    if clock == SIDEREAL:
+        return np.asarray(conditions.lst_hours / 24.0)
+    since = conditions.time_unix - (MONDAY_S if clock == WEEK else 0.0)
+    return np.asarray(since / (PERIODS_D[clock] * DAY_S))
+
+
+def _wave(conditions: Conditions, clock: str, number: float, highest: float) -> Floats:
+    return np.asarray(np.cos(2.0 * np.pi * number * (_phase(conditions, clock) - highest)))
+
+
+def _near(conditions: Conditions, clock: str, middle: float, width: float) -> Floats:
+    away = (_phase(conditions, clock) - middle + 0.5) % 1.0 - 0.5
+    return np.asarray(np.exp(-0.5 * (away / width) ** 2))
+
+
+def _clocks(conditions: Conditions) -> list[str]:
+    """Clocks that a search tries: of those with long periods only what the data hold twice, and a year as a whole."""
+    span_d = float(np.ptp(conditions.time_unix)) / DAY_S
+    return [SIDEREAL, *(name for name, days in PERIODS_D.items() if span_d > (0.8 if name == YEAR else 2.0) * days)]
+
+
+def _waves(conditions: Conditions) -> list[tuple[str, int, float]]:
+    most = {SIDEREAL: 3, SOLAR: 3, WEEK: 2, YEAR: 2}
+    return [
+        (clock, number, phase / (12.0 * number))
+        for clock in _clocks(conditions)
+        for number in range(1, most.get(clock, 1) + 1)
+        for phase in range(6)
+    ]
+
+
+def _spells(conditions: Conditions) -> list[tuple[str, float, float]]:
+    middles = [k / 12.0 for k in range(12)]
+    return [one for clock in _clocks(conditions) for one in product((clock,), middles, (0.04, 0.1))]
+
+
+def _columns(conditions: Conditions) -> list[str]:
+    return sorted(name for name in conditions.covariates if name != RAIN and conditions.covariate(name) is not None)
+
+
+def _quantiles(conditions: Conditions, name: str) -> tuple[list[float], float]:
+    """Quantiles of a column, and half of the range of most of its values."""
+    known = conditions.covariates[name][np.isfinite(conditions.covariates[name])]
+    low, *inner, high = np.quantile(known, [0.05, 0.2, 0.35, 0.5, 0.65, 0.8, 0.95]).tolist()
+    return [float(f"{one:.3g}") for one in inner], float(f"{max(0.5 * (high - low), 1e-9):.3g}")
+
+
+def _powers(conditions: Conditions) -> list[tuple[str, int, float, float]]:
+    found = []
+    for name in _columns(conditions):
+        middles, half = _quantiles(conditions, name)
+        found += [(name, 1, middles[2], half), *((name, 2, middle, half) for middle in middles)]
+    return found
+
+
+def _column(conditions: Conditions, name: str, power: float, middle: float, scale: float) -> Floats:
+    return np.asarray(np.nan_to_num((conditions.covariates[name] - middle) / scale) ** power)
+
+
+def _sky(conditions: Conditions, low_mhz: float, high_mhz: float) -> Floats:
+    """Simulated power of the sky in a band over its mean, less 1."""
+    frequency = conditions.frequency_mhz
+    inside = (frequency >= low_mhz) & (frequency <= high_mhz)
+    power = np.mean([sky[:, inside].mean(axis=1) for sky in conditions.sky_of.values()], axis=0)
+    return np.asarray(power / power.mean() - 1.0)
+
+
+def _bands(conditions: Conditions) -> list[tuple[float, float]]:
+    low, high = (float(one) for one in conditions.frequency_mhz[[0, -1]])
+    return [(low, high), *((one, one + 10.0) for one in np.arange(low, high - 9.0, 10.0).tolist())]
+
+
+def _where_days(conditions: Conditions) -> list[tuple[()]]:
+    return [()] if conditions.has_day_and_night else []
+
+
+def _where_weeks(conditions: Conditions) -> list[tuple[()]]:
+    return [()] if WEEK in _clocks(conditions) else []
+
+
+def _rank(conditions: Conditions) -> Floats:
+    return np.asarray(np.argsort(np.argsort(conditions.time_unix, kind="stable"), kind="stable"))
+
+
+def _instant(at_unix: float) -> str:
+    return f"{datetime.fromtimestamp(at_unix, UTC):%Y-%m-%dT%H:%M:%SZ}"
+
+
+def _unix(instant: str) -> float:
+    return datetime.fromisoformat(instant).timestamp()
+
+
+COURSES: dict[str, Kind] = {
+    "always": Kind(lambda c: np.ones(c.time_unix.size), _once, "at all times", "1"),
+    "step": Kind(
+        lambda c, at: c.after(_unix(at))[:, 0],
+        lambda c: [(_instant(at),) for at in c.step_dates(40)] if c.has_dates else [],
+        "from {0} on",
+        "step(t - {0})",
+        gates=True,
+    ),
+    "ramp": Kind(
+        lambda c, middle: (c.time_unix - _unix(middle)) / YEAR_S,
+        lambda c: [(_instant(c.time_unix.mean()),)] if c.has_dates else [],
+        "rising with time (size per year)",
+        "(t - {0}) / yr",
+    ),
+    "wave": Kind(_wave, _waves, "", "cos 2 pi {1:g} ({0} - {2:.3g})", (0.0, 0.0, 1 / 12)),
+    "near": Kind(_near, _spells, "", "exp(-({0} - {1:.3g})^2 / 2 {2:.2g}^2)", (0.0, 1 / 12, 0.06)),
+    "hours": Kind(
+        lambda c, begin, hours: c.in_hours(begin, (begin + hours) % 24.0)[:, 0],
+        lambda c: list(product(np.arange(0.0, 24.0, 3.0).tolist(), (3.0, 6.0, 12.0))) if c.has_all_hours else [],
+        "for {1:g} h from {0:g} h UTC on",
+        "gate(UTC; {0:g} h, {1:g} h)",
+        (3.0, 2.0),
+        gates=True,
+    ),
+    "day": Kind(
+        lambda c: (c.sun_altitude > 0).astype(float),
+        _where_days,
+        "while the Sun is up",
+        "day",
+        gates=True,
+    ),
+    "night": Kind(
+        lambda c: (c.sun_altitude <= 0).astype(float),
+        _where_days,
+        "while the Sun is down",
+        "night",
+        gates=True,
+    ),
+    "sun": Kind(
+        lambda c: np.maximum(np.sin(c.sun_altitude), 0.0),
+        _where_days,
+        "with the height of the Sun",
+        "sin(height of the Sun)",
+    ),
+    "working days": Kind(
+        lambda c: (_phase(c, WEEK) % 1.0 < 5 / 7).astype(float),
+        _where_weeks,
+        "from Monday to Friday",
+        "Monday-Friday",
+        gates=True,
+    ),
+    "column": Kind(_column, _powers, "with ({0} - {2:g})^{1:g}", "(({0} - {2:g}) / {3:g})^{1:g}", (0, 0, 0, 0)),
+    "above": Kind(
+        lambda c, name, level: (np.nan_to_num(c.covariates[name], nan=-np.inf) > level).astype(float),
+        lambda c: [(name, one) for name in _columns(c) for one in _quantiles(c, name)[0]],
+        "where {0} exceeds {1:g}",
+        "({0} > {1:g})",
+        gates=True,
+    ),
+    "late": Kind(
+        lambda c, hours: c.warmth(hours)[:, 0],
+        lambda c: [] if c.covariate(TEMPERATURE) is None or not c.has_dates else [(1.0,), (2.0,), (3.0,)],
+        "with the temperature {0:g} h before (size per 10 K)",
+        "T(t - {0:g} h) / 10 K",
+        (1.0,),
+    ),
+    "wet": Kind(
+        lambda c, kind: c.wetness(kind)[:, 0],
+        lambda c: [] if c.covariate(RAIN) is None else [("flag",), ("saturating",), ("linear",)],
+        "in rain ({0})",
+        "rain({0})",
+        gates=True,
+    ),
+    "sky": Kind(
+        _sky, _bands, "with the power of the sky between {0:g} and {1:g} MHz", "P_sky({0:g}-{1:g} MHz) / mean - 1"
+    ),
+    "every": Kind(
+        lambda c, number, first: (_rank(c) % number == first).astype(float),
+        lambda _: [(number, first) for number in range(2, 8) for first in range(number)],
+        "in every event of {0}, number {1}",
+        "(event mod {0} = {1})",
+        gates=True,
+    ),
+}
+"""Courses in time by name."""
+PRODUCT = "product"
+
+
+def law_of(conditions: Conditions, law: Form) -> Floats:
+    """Values of a law, shape (class or 1, 1, freq)."""
+    values = np.atleast_2d(LAWS[law[0]].values(conditions, *law[1:]))
+    return np.asarray(values[:, None, :])
+
+
+def course_of(conditions: Conditions, course: Form) -> Floats:
+    """Values of a course, shape (event,)."""
+    if course[0] == PRODUCT:
+        return course_of(conditions, course[1]) * course_of(conditions, course[2])
+    return COURSES[course[0]].values(conditions, *course[1:])
+
+
+def columns_of(course: Form) -> tuple[str, ...]:
+    """Columns of `env` that a course reads."""
+    if course[0] == PRODUCT:
+        return tuple(sorted({*columns_of(course[1]), *columns_of(course[2])}))
+    return {"late": (TEMPERATURE,), "wet": (RAIN,), "column": course[1:2], "above": course[1:2]}.get(course[0], ())
+
+
+def list_laws(conditions: Conditions) -> list[Form]:
+    """Every law that a search of these data tries."""
+    return [(name, *numbers) for name, kind in LAWS.items() for numbers in kind.grid(conditions)]
+
+
+def list_courses(conditions: Conditions) -> list[Form]:
+    """Every course that a search of these data tries."""
+    return [(name, *numbers) for name, kind in COURSES.items() for numbers in kind.grid(conditions)]
+
+
+FINER = (-0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75)
+"""Parts of a step of the grid by which a number is moved on a finer one."""
+
+
+def finer(kinds: Mapping[str, Kind], form: Form, conditions: Conditions) -> list[Form]:
+    """Forms about one that was found, itself the first."""
+    if form[0] == PRODUCT:
+        _, one, other = form
+        first, second = finer(kinds, one, conditions), finer(kinds, other, conditions)
+        return [*((PRODUCT, same, other) for same in first), *((PRODUCT, one, same) for same in second[1:])]
+    if form[0] == "step":
+        return [form, *(("step", _instant(at)) for at in conditions.dates_about(_unix(form[1])))]
+    moved = []
+    for k, step in enumerate(kinds[form[0]].steps, start=1):
+        for part in FINER if step else ():
+            value = form[k] + part * step / (form[2] if form[0] == "wave" else 1.0)
+            moved.append((*form[:k], float(f"{value:.10g}"), *form[k + 1 :]))
+    low, high = conditions.frequency_mhz[[0, -1]]
+    return [form, *(one for one in dict.fromkeys(moved) if one != form and _is_sensible(one, low, high))]
+
+
+def _is_sensible(form: Form, low_mhz: float, high_mhz: float) -> bool:
+    if form[0] in ("below", "above"):
+        return bool(low_mhz + 2 * EDGE_MHZ < form[1] < high_mhz - 2 * EDGE_MHZ)
+    positive = {"band": 2, "near": 3, "hours": 2, "ripple": 1}
+    return form[:2] != ("power", 0.0) and (form[0] not in positive or form[positive[form[0]]] > 0)
+
+
+def is_of_dates(course: Sequence[Any]) -> bool:
+    """Whether a course is one of dates, which do not recur, or of the season: C changes within a window."""
+    if course[0] == PRODUCT:
+        return is_of_dates(course[1]) or is_of_dates(course[2])
+    return course[0] in ("step", "ramp") or (course[0] in ("wave", "near") and course[1] == YEAR)
+
+
+# Places in the chain.
+
+
+@dataclass(frozen=True)
+class Place:
+    """A place in the chain.
+
+    Attributes
+    ----------
+    scales
+        Terms of the chain that are multiplied by 1 + change.
+    words, equation
+        What happens there, and what it does to eq. full_chain, the change in braces.
+    confirm
+        How other means could tell it from other places.
+    adds
+        Whether the change is added in front of the first amplifier, in units of the mean sky power.
+    """
+
+    scales: Sequence[str]
+    words: str
+    equation: str
+    confirm: str
+    adds: bool = False
+
+    def act(self, terms: ChainTerms, conditions: Conditions, change: Floats) -> ChainTerms:
+        """The chain with a relative change here, shape (class or 1, event, freq)."""
+        if self.adds:
+            return replace(terms, n_lna=terms.n_lna + change * conditions.mean_sky[:, None, :])
+        return replace(terms, **{name: getattr(terms, name) * (1.0 + change) for name in self.scales})
+
+
+PLACES: dict[str, Place] = {
+    "sky": Place(
+        ("sky",), "the power of the sky changes", "P_sky -> P_sky (1 + {0})", "compare with a station elsewhere"
+    ),
+    "antenna": Place(
+        (),
+        "power is added in front of the first amplifier (size over the mean sky power)",
+        "N_LNA -> N_LNA + mean(P_sky) {0}",
+        "put a dummy load in the place of an antenna: noise of the amplifier stays, what comes through the air goes",
+        adds=True,
+    ),
+    "front": Place(
+        ("front",),
+        "the gain in front of the receiver's noise changes",
+        "G_ant A L_coax -> G_ant A L_coax (1 + {0})",
+        "feed a tone into the cable of an antenna, and another into its receiver",
+    ),
+    "receiver": Place(
+        ("receiver_noise",),
+        "the noise of the receiver changes",
+        "N_RCU -> N_RCU (1 + {0})",
+        "terminate the input of a receiver and watch its noise",
+    ),
+    "behind": Place(
+        ("front", "receiver_noise"),
+        "the gain of the receiver changes",
+        "G_RCU -> G_RCU (1 + {0})",
+        "feed a tone into a receiver and watch it through the same course",
+    ),
+    "converter": Place(
+        ("adc_noise",),
+        "the noise of the converter changes",
+        "N_ADC -> N_ADC (1 + {0})",
+        "switch the receivers off and watch what the converter counts",
+    ),
+    "record": Place(
+        ("front", "receiver_noise", "adc_noise"),
+        "all of the recorded power changes",
+        "P -> P (1 + {0})",
+        "look for a change of the scaling in the digital processing",
+    ),
+}
+"""Places in the chain by name, from the sky to the record."""
+
+
+@dataclass(frozen=True)
+class Sentence(Cause):
+    """A place, a law and a course, as the parameters of its template; its size is a fraction where both are 1."""
+
+    identifier: str = "sentence"
+    unit: str = "fraction"
+    meaning: str = "a plain sentence of place, law and course"
+    confirm: str = "look for what follows this course at this place"
+    scopes: Sequence[str] = SCOPES
+    sizes: SizeRange = SizeRange(-1.0, 10.0)
+    spectral_parameters: Sequence[str] = ("place", "law")
+
+    def templates(self, conditions: Conditions) -> list[Template]:  # noqa: ARG002
+        """None by itself: a scan of the catalogue does not try it."""
+        return []
+
+    def covariates(self, template: Template) -> Sequence[str]:
+        """The columns that its course reads."""
+        return columns_of(_as_form(template.parameters["course"]))
+
+    def time_profile(self, conditions: Conditions, template: Template) -> Floats:
+        """Its course."""
+        return course_of(conditions, _as_form(template.parameters["course"]))[:, None]
+
+    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:
+        """Its place changes by the amount times its law."""
+        change = amount * law_of(conditions, _as_form(template.parameters["law"]))
+        return PLACES[template.parameters["place"]].act(terms, conditions, change)
+
+    def finer_templates(self, conditions: Conditions, template: Template) -> list[Template]:
+        """Other numbers of its law, and of its course."""
+        place, law, course = parts_of(template)
+        laws = [sentence(place, one, course) for one in finer(LAWS, law, conditions)]
+        return laws + [sentence(place, law, one) for one in finer(COURSES, course, conditions)[1:]]
+
+    def say(self, template: Template) -> str:
+        """The sentence itself."""
+        return in_words(template)
+
+    def is_another(self, template: Template, earlier: Template) -> bool:
+        """Any other sentence."""
+        return parts_of(template) != parts_of(earlier)
+
+    def spectral_key(self, template: Template) -> tuple[Any, ...]:
+        """Place and law."""
+        return parts_of(template)[:2]
+
+
+def sentence(place: str, law: Form, course: Form) -> Template:
+    """The template of a sentence."""
+    return Template({"place": place, "law": law, "course": course})
+
+
+def parts_of(template: Template) -> tuple[str, Form, Form]:
+    """Place, law and course of a template, whether they come from a search or from a file."""
+    own = template.parameters
+    return str(own["place"]), _as_form(own["law"]), _as_form(own["course"])
+
+
+def require_sentence(place: str, parameters: Mapping[str, Any]) -> None:
+    """Refuse parameters that are no sentence.
+
+    Raises
+    ------
+    BadInputError
+        Where place, law or course is missing, unknown, or has other numbers than its kind.
+    """
+    try:
+        template = Template(dict(parameters))
+        in_words(template)
+        as_equation(template)
+    except (KeyError, IndexError, TypeError, ValueError) as error:
+        names = f"a place of {', '.join(PLACES)}, a law of {', '.join(LAWS)}, and a course of {', '.join(COURSES)}"
+        raise BadInputError(f"{place}: sentence", f"{names}, each with its numbers", repr(dict(parameters))) from error
+
+
+def _as_form(value: Sequence[Any]) -> Form:
+    return tuple(_as_form(one) if isinstance(one, Sequence) and not isinstance(one, str) else one for one in value)
+
+
+def opposite(template: Template) -> Template | None:
+    """The sentence whose course has the other sign; None where no form has."""
+    place, law, course = parts_of(template)
+    if course[0] != "wave":
+        return None
+    _, clock, number, highest = course
+    return sentence(place, law, ("wave", clock, number, (highest + 0.5 / number) % (1.0 / number)))
+
+
+def in_words(template: Template) -> str:
+    """A sentence without whom it concerns and without its size."""
+    place, law, course = parts_of(template)
+    return f"{PLACES[place].words}, {_say(LAWS, law)}, {_say(COURSES, course)}"
+
+
+def as_equation(template: Template) -> str:
+    """What the sentence does to the chain of eq. full_chain, a its size."""
+    place, law, course = parts_of(template)
+    factors = [one for one in (_write(LAWS, law), _write(COURSES, course)) if one != "1"]
+    return PLACES[place].equation.format(" ".join(["a", *factors]))
+
+
+def _say(kinds: Mapping[str, Kind], form: Form) -> str:
+    name, *numbers = form
+    if name == PRODUCT:
+        return f"{_say(kinds, form[1])}, and only {_say(kinds, form[2])}"
+    if name == "wave":
+        clock, number, highest = numbers
+        several = "a wave" if number == 1 else f"{number:g} waves"
+        return f"in {several} a {_CALLED[clock]}, highest at {_time_of(clock, highest % (1.0 / number))}"
+    if name == "near":
+        clock, middle, width = numbers
+        within = width * (SIDEREAL_DAY_D if clock == SIDEREAL else PERIODS_D[clock])
+        said = f"{24.0 * within:.1f} h" if within < 1.0 else f"{within:.1f} d"
+        return f"near {_time_of(clock, middle % 1.0)}, a Gaussian of {said}"
+    return kinds[name].words.format(*numbers)
+
+
+_CALLED = {SIDEREAL: "sidereal day", SOLAR: "UTC day"}
+_CALLED |= {name: name for name in (WEEK, YEAR, ROTATION, LUNATION)}
+SIDEREAL_DAY_D = 0.99727
+
+
+def _time_of(clock: str, turns: float) -> str:
+    """A phase of a clock in its own units."""
+    if clock in (SIDEREAL, SOLAR):
+        return f"{24.0 * turns:.1f} h {clock}"
+    since = {WEEK: "of the week, from Monday", YEAR: "of the year"}
+    day = PERIODS_D[clock] * turns
+    return f"day {day:.1f} {since.get(clock, f'of the {clock} (days since 1970-01-01 modulo {PERIODS_D[clock]:g})')}"
+
+
+def _write(kinds: Mapping[str, Kind], form: Form) -> str:
+    if form[0] == PRODUCT:
+        return f"{_write(kinds, form[1])} {_write(kinds, form[2])}"
+    return kinds[form[0]].equation.format(*form[1:])

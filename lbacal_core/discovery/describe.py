@@ -1,0 +1,354 @@
+"""Residual structure in words: the sentences (`causes.grammar`) that describe it best, with their odds.
+
+Every sentence has a score in the residuals. Its description length is taken from its gain in chi^2: one of a family
+with many members gains more by chance. Products of two courses grow from the best single ones, and the best few of all
+are fitted with the chain, without linearising, and asked what they gain on unseen events.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise, product
+
+import numpy as np
+
+from lbacal_core.causes.cause import TEMPERATURE, Conditions, Template, signature
+from lbacal_core.causes.grammar import (
+    COURSES,
+    LAWS,
+    PLACES,
+    PRODUCT,
+    Form,
+    Sentence,
+    columns_of,
+    course_of,
+    list_courses,
+    list_laws,
+    opposite,
+    parts_of,
+    sentence,
+)
+from lbacal_core.discovery.findings import gain_in_chi_squared, refine
+from lbacal_core.discovery.hypothesis import Hypothesis, Target
+from lbacal_core.discovery.policy import Policy
+from lbacal_core.discovery.project import LinearModel
+from lbacal_core.discovery.refit import FittedModel, held_out_gain, refit
+from lbacal_core.discovery.residual_structure import STATION, ResidualStructure, find_structure
+from lbacal_core.discovery.scan import Score, SpectralFamily, score_families, score_in_path
+from lbacal_core.grids import Floats
+
+SENTENCE = Sentence()
+ROUGH: Sequence[Form] = (
+    ("flat",),
+    ("tilt",),
+    ("power", -2.0, 30.0),
+    ("power", 2.0, 80.0),
+    ("below", 40.0),
+    ("band", 50.0, 12.0),
+    ("band", 60.0, 12.0),
+    ("resonance",),
+    ("filter",),
+)
+"""Laws with which all courses are tried first."""
+LIKELY, KEPT, FITTED = 12, 6, 4
+"""Courses that are tried with all laws, sentences from which products grow, and sentences fitted with the chain."""
+CERTAIN = 7.0
+"""ln of the odds against chance from which a sentence is said: 1 in 1000, as for a cause of the catalogue."""
+RIVAL = 3.0
+"""ln of the odds below which two sentences are rivals: 1 to 20."""
+FEWEST_ALIKE = 4
+"""Antennas from which one asks whether they show a sentence by an amount that grows with their number."""
+
+
+@dataclass(frozen=True)
+class Described:
+    """A sentence that describes residual structure.
+
+    Attributes
+    ----------
+    gain
+        Gain in chi^2 of the fit with it.
+    length
+        Its description length: what the best of as many alternatives gains by chance, chi^2.
+    held_out_gain
+        Gain in log-likelihood on events that were not used.
+    """
+
+    hypothesis: Hypothesis
+    gain: float
+    length: float
+    held_out_gain: float
+
+    @property
+    def log_odds(self) -> float:
+        """Logarithm of the odds against chance."""
+        return 0.5 * (self.gain - self.length)
+
+
+@dataclass(frozen=True)
+class Decider:
+    """Spectra that would tell two sentences apart.
+
+    Attributes
+    ----------
+    where
+        In words.
+    times
+        Information of one such event over that of a typical one.
+    events
+        Number of such events after which the sentences differ by 3 standard deviations.
+    """
+
+    where: str
+    times: float
+    events: float
+
+
+@dataclass(frozen=True)
+class Description:
+    """What is said of residual structure.
+
+    Attributes
+    ----------
+    sentences
+        The likeliest first: that one, and its rivals.
+    remains
+        Structure beside the first sentence, or None where it leaves noise.
+    decider
+        What would tell the first two apart; None where there is one, or where no spectra could.
+    amounts
+        The size of the first sentence in each antenna, with its error, where an antenna shows it most.
+    """
+
+    sentences: Sequence[Described] = ()
+    remains: ResidualStructure | None = None
+    decider: Decider | None = None
+    amounts: dict[int, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def grows_with_number(self) -> float | None:
+        """Correlation of the amounts with the numbers of the antennas; None where there are too few."""
+        if len(self.amounts) < FEWEST_ALIKE:
+            return None
+        return float(np.corrcoef(list(self.amounts), [size for size, _ in self.amounts.values()])[0, 1])
+
+
+def describe_structure(
+    model: FittedModel, structure: ResidualStructure, targets: Sequence[Target], policy: Policy, seed: int = 0
+) -> Description:
+    """Describe the structure which a model leaves; empty where no sentence does better than chance."""
+    shown = _targets_of(structure, targets)
+    if not shown:
+        return Description()
+    fitted = [_fit(model, one) for one in _search(model.linear, shown, policy)]
+    order = sorted((one for one in fitted if one is not None), key=lambda one: -one[0].log_odds)
+    said = [one for one, _ in order if one.log_odds > CERTAIN and one.held_out_gain > 0.0]
+    if not said:
+        return Description()
+    after = next(one for described, one in order if described is said[0])
+    rivals = [one for one in said if said[0].log_odds - one.log_odds < RIVAL]
+    alpha, rng = policy.structure_alpha, np.random.default_rng(seed)
+    return Description(
+        rivals,
+        find_structure(after.linear, rng, alpha),
+        _what_decides(model.linear, rivals[0], rivals[1]) if len(rivals) > 1 else None,
+        {} if structure.target == STATION else _amounts(model.linear, said[0], targets),
+    )
+
+
+def _targets_of(structure: ResidualStructure, targets: Sequence[Target]) -> list[Target]:
+    """Targets that show the structure, the one that shows it as it was found last."""
+    if structure.target == STATION:
+        return [one for one in targets if one.is_wide]
+    path = [one for one in targets if one.label == structure.target]
+    return [one for one in targets if not one.is_wide and path and np.all(one.is_member >= path[0].is_member)][::-1]
+
+
+# The search: all courses with a few laws, all laws with the best courses, products of these, and finer numbers.
+
+
+@dataclass(frozen=True)
+class _Scored:
+    template: Template
+    target: Target
+    z: float
+    size: float
+    length: float
+
+    @property
+    def gain(self) -> float:
+        return self.z**2 - self.length
+
+    @property
+    def family(self) -> tuple[str, ...]:
+        """Target, place, and the names of law and course: what rivals differ by."""
+        place, law, course = parts_of(self.template)
+        return self.target.label, place, law[0], *_names(course)
+
+
+def _names(course: Form) -> tuple[str, ...]:
+    if course[0] == PRODUCT:
+        return (*_names(course[1]), *_names(course[2]))
+    return (course[0], str(course[1])) if course[0] in ("wave", "near", "column", "above") else (course[0],)
+
+
+def _search(model: LinearModel, shown: Sequence[Target], policy: Policy) -> list[_Scored]:
+    """The likeliest sentences of different families."""
+    conditions, whole = model.station.conditions, shown[-1:]
+    courses = list_courses(conditions)
+    rough = _score(model, whole, list(product(PLACES, ROUGH)), courses)
+    likely = list(dict.fromkeys(parts_of(one.template)[2] for one in _best_of_families(rough)))[:LIKELY]
+    single = _best_of_families(_score(model, whole, list(product(PLACES, list_laws(conditions))), likely))
+    found = list(single)
+    gates = [one for one in courses if COURSES[one[0]].gates or one[0] in ("near", "sky")]
+    for one in single[:KEPT]:
+        place, law, course = parts_of(one.template)
+        together = [(PRODUCT, course, gate) for gate in gates if _names(gate) != _names(course)]
+        found += _score(model, shown, [(place, law)], [course, *together])
+    refined = [_refine(model, one, policy) for one in _best_of_families(found)[: 2 * KEPT]]
+    return _best_of_families(refined)[:FITTED]
+
+
+def _score(
+    model: LinearModel, targets: Sequence[Target], spectra: Sequence[tuple[str, Form]], courses: Sequence[Form]
+) -> list[_Scored]:
+    """The best course for every place and law, with its target."""
+    conditions, found = model.station.conditions, list[_Scored]()
+    length = _Lengths(conditions, len(targets))
+    by_columns: dict[tuple[str, ...], list[Form]] = {}
+    for course in courses:
+        by_columns.setdefault(columns_of(course), []).append(course)
+    for alike in by_columns.values():
+        profiles = np.stack([course_of(conditions, one) for one in alike])
+        families = [
+            SpectralFamily(SENTENCE, [sentence(place, law, one) for one in alike], profiles) for place, law in spectra
+        ]
+        known = model.on_events(families[0].known_events(conditions))
+        of_course = np.array([length.of_course(one) for one in alike])
+        for batch, z, size in _scores(known, families, targets):
+            for s, family in enumerate(batch):
+                worth = z[s] ** 2 - of_course
+                t, k = (int(at) for at in np.unravel_index(int(np.argmax(worth)), worth.shape))
+                whole = float(of_course[k] + length.of_law(parts_of(family.templates[k])[1]))
+                found.append(_Scored(family.templates[k], targets[t], float(z[s, t, k]), float(size[s, t, k]), whole))
+    return found
+
+
+def _scores(
+    model: LinearModel, families: Sequence[SpectralFamily], targets: Sequence[Target]
+) -> list[tuple[Sequence[SpectralFamily], Floats, Floats]]:
+    if len(targets) == 1 and targets[0].scope == "path":
+        return score_in_path(model, families, int(np.flatnonzero(targets[0].is_member)[0]))
+    return score_families(model, families, targets)
+
+
+class _Lengths:
+    """Description lengths in chi^2: twice the ln of the number of alternatives at each choice."""
+
+    def __init__(self, conditions: Conditions, targets: int) -> None:
+        self._laws = Counter(one[0] for one in list_laws(conditions))
+        self._courses = Counter(one[0] for one in list_courses(conditions))
+        self._targets = targets
+
+    def of_law(self, law: Form) -> float:
+        """Of place, law and target."""
+        return float(2.0 * np.log(len(PLACES) * len(LAWS) * self._laws[law[0]] * self._targets))
+
+    def of_course(self, course: Form) -> float:
+        """Of a course; a product is as long as both."""
+        if course[0] == PRODUCT:
+            return self.of_course(course[1]) + self.of_course(course[2])
+        return float(2.0 * np.log(len(COURSES) * self._courses[course[0]]))
+
+
+def _best_of_families(scored: Sequence[_Scored]) -> list[_Scored]:
+    """The best of each family, the likeliest first."""
+    best: dict[tuple[str, ...], _Scored] = {}
+    for one in sorted(scored, key=lambda one: -one.gain):
+        best.setdefault(one.family, one)
+    return list(best.values())
+
+
+def _refine(model: LinearModel, one: _Scored, policy: Policy) -> _Scored:
+    """The same with the best numbers of law and course, of which one is moved at a time, and with a positive size."""
+    conditions = model.station.conditions
+    for _ in range(2):
+        template = refine(model, Score(SENTENCE, one.template, one.target, one.z, one.size, 0), policy).template
+        turned = opposite(template) if one.size < 0.0 else None
+        template = turned or template
+        family = SpectralFamily(SENTENCE, [template], SENTENCE.time_profile(conditions, template).T)
+        known = model.on_events(family.known_events(conditions))
+        ((_, z, size),) = score_families(known, [family], [one.target])
+        one = replace(one, template=template, z=z.item(), size=size.item())
+    return one
+
+
+def _fit(before: FittedModel, one: _Scored) -> tuple[Described, FittedModel] | None:
+    """The sentence fitted with the chain, and the model with it; None where no size fits."""
+    after = refit(before, Hypothesis(SENTENCE, one.template, one.target, one.size))
+    if after is None:
+        return None
+    hypothesis = after.hypotheses[-1]
+    held_out = held_out_gain(before, hypothesis, [hypothesis.template])
+    return Described(hypothesis, gain_in_chi_squared(before, after), one.length, held_out), after
+
+
+# What is said beside the sentences: how much of it each antenna shows, and what would tell two of them apart.
+
+
+def _amounts(model: LinearModel, one: Described, targets: Sequence[Target]) -> dict[int, tuple[float, float]]:
+    """The size of a sentence in each antenna, to first order, with its error."""
+    conditions, template = model.station.conditions, one.hypothesis.template
+    antennas = [target for target in targets if target.scope == "antenna"]
+    if not antennas:
+        return {}
+    family = SpectralFamily(SENTENCE, [template], SENTENCE.time_profile(conditions, template).T)
+    known = model.on_events(family.known_events(conditions))
+    ((_, z, size),) = score_families(known, [family], antennas)
+    numbers = [int(model.station.antenna[target.is_member][0]) for target in antennas]
+    seen = zip(numbers, size.ravel().tolist(), z.ravel().tolist(), strict=True)
+    return {number: (own, abs(own / score)) for number, own, score in seen if score}
+
+
+PARTS = 6
+"""Parts of an axis among which one looks for the spectra that tell most."""
+
+
+def _what_decides(model: LinearModel, one: Described, other: Described) -> Decider | None:
+    """The part of an axis in which an event tells two sentences apart best, of what the free vectors leave."""
+    conditions = model.station.conditions
+    shown = [
+        own.hypothesis.size * signature(SENTENCE, model.terms, conditions, own.hypothesis.template)
+        for own in (one, other)
+    ]
+    target, change = one.hypothesis.target, shown[0] - shown[1]
+    if target.is_wide:
+        view, member, seen = model.common, 0, model.mean_of(change, target.is_member)
+    else:
+        path = int(np.flatnonzero(target.is_member)[0])
+        c = int(model.station.class_of[path])
+        view, member, seen = model.paths[c], int(np.flatnonzero(model.members[c] == path)[0]), change[c : c + 1]
+    clean, is_there = view.clean(seen, member), view.weight[member] > 0
+    by_event = np.einsum("ref,ref->e", clean, view.weigh(clean)) * view.weight[member]
+    if not by_event.sum() > 0.0:
+        return None
+    candidates = []
+    for values, words in _axes_of(conditions):
+        known = np.isfinite(values) & is_there
+        for low, high in pairwise(np.quantile(values[known], np.linspace(0.0, 1.0, PARTS + 1))):
+            inside = known & (values >= low) & (values <= high)
+            candidates.append((float(by_event[inside].mean()), words.format(low, high)))
+    most, where = max(candidates)
+    return Decider(where, most / float(by_event[is_there].mean()), 9.0 / most)
+
+
+def _axes_of(conditions: Conditions) -> list[tuple[Floats, str]]:
+    """Axes along which an operator can choose, with words."""
+    found = [
+        (conditions.lst_hours, "between {0:.1f} and {1:.1f} h LST"),
+        (conditions.utc_hours, "between {0:.1f} and {1:.1f} h UTC"),
+    ]
+    warmth = conditions.covariate(TEMPERATURE)
+    return found if warmth is None else [*found, (warmth, "at {0:.0f} to {1:.0f} degrees C")]

@@ -1,0 +1,213 @@
+"""Sentences against the chain written out by hand, and every form against what it says of itself."""
+
+import json
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+
+from lbacal_core.causes.cause import Template, signature
+from lbacal_core.causes.grammar import (
+    COURSES,
+    LAWS,
+    PLACES,
+    PRODUCT,
+    Sentence,
+    as_equation,
+    columns_of,
+    course_of,
+    finer,
+    in_words,
+    is_of_dates,
+    law_of,
+    list_courses,
+    list_laws,
+    opposite,
+    parts_of,
+    require_sentence,
+    sentence,
+)
+from lbacal_core.causes.model import AdoptedCause, Model, follows_date
+from lbacal_core.errors import BadInputError
+
+SENTENCE = Sentence()
+
+
+def test_every_kind_has_forms_with_values_words_and_an_equation(conditions):
+    laws, courses = list_laws(conditions), list_courses(conditions)
+    assert {one[0] for one in laws} == set(LAWS)
+    assert {one[0] for one in courses} == set(COURSES)
+    for law in laws:
+        values = law_of(conditions, law)
+        assert values.shape in [(1, 1, 51), (2, 1, 51)]
+        assert np.ptp(values) > 0 or law == ("flat",)
+    for course in courses:
+        values = course_of(conditions, course)
+        assert values.shape == (200,)
+        assert np.all(np.isfinite(values))
+        assert np.ptp(values) > 0 or course == ("always",)
+    for place, law, course in [(one, laws[0], courses[0]) for one in PLACES] + [
+        *(("sky", one, courses[0]) for one in laws),
+        *(("sky", laws[0], one) for one in courses),
+    ]:
+        template = sentence(place, law, course)
+        assert "{" not in in_words(template) + as_equation(template)
+
+
+def test_a_place_acts_as_the_chain_written_out(conditions, terms):
+    """eq. full_chain: P = (P_sky + N_LNA) s + N_RCU + N_ADC."""
+    law, course = ("power", -2.0, 30.0), ("wave", "UTC", 2, 1 / 3)
+    u = (
+        0.07
+        * (conditions.frequency_mhz / 30.0) ** -2
+        * np.cos(2 * np.pi * (conditions.utc_hours - 8.0) / 12.0)[:, None]
+    )
+    sky, lna, s, rcu, adc = terms.sky, terms.n_lna, terms.front, terms.receiver_noise, terms.adc_noise
+    mean = conditions.mean_sky[:, None]
+    expected = {
+        "sky": (sky * (1 + u) + lna) * s + rcu + adc,
+        "antenna": (sky + lna + u * mean) * s + rcu + adc,
+        "front": (sky + lna) * s * (1 + u) + rcu + adc,
+        "receiver": (sky + lna) * s + rcu * (1 + u) + adc,
+        "behind": ((sky + lna) * s + rcu) * (1 + u) + adc,
+        "converter": (sky + lna) * s + rcu + adc * (1 + u),
+        "record": ((sky + lna) * s + rcu + adc) * (1 + u),
+    }
+    assert set(expected) == set(PLACES)
+    for place, power in expected.items():
+        found = SENTENCE.apply(terms, conditions, sentence(place, law, course), 0.07).power()
+        np.testing.assert_allclose(found, np.broadcast_to(power, found.shape), rtol=1e-9)
+
+
+@pytest.mark.parametrize("amount", [0.0, np.zeros((200, 1))])
+def test_an_amount_of_nothing_changes_nothing(conditions, terms, amount):
+    for place in PLACES:
+        same = SENTENCE.act(terms, conditions, sentence(place, ("tilt",), ("always",)), amount)
+        np.testing.assert_array_equal(np.broadcast_to(same.power(), terms.power().shape), terms.power())
+
+
+def test_courses_are_what_they_say(conditions):
+    utc, time = conditions.utc_hours, conditions.time_unix
+    day = np.array([datetime.fromtimestamp(one, UTC).weekday() for one in time])
+    np.testing.assert_array_equal(course_of(conditions, ("working days",)), day < 5)
+    np.testing.assert_array_equal(course_of(conditions, ("hours", 22.0, 4.0)), (utc >= 22) | (utc < 2))
+    np.testing.assert_array_equal(
+        course_of(conditions, (PRODUCT, ("day",), ("working days",))), (conditions.sun_altitude > 0) & (day < 5)
+    )
+    warm = conditions.covariates["temperature_c"]
+    np.testing.assert_allclose(course_of(conditions, ("column", "temperature_c", 2, 9.0, 5.0)), ((warm - 9) / 5) ** 2)
+    at = "2014-07-01T00:00:00Z"
+    after = np.array([datetime.fromtimestamp(one, UTC) >= datetime(2014, 7, 1, tzinfo=UTC) for one in time])
+    np.testing.assert_array_equal(course_of(conditions, ("step", at)), after)
+    every = course_of(conditions, ("every", 5, 2))[np.argsort(time)]
+    np.testing.assert_array_equal(np.flatnonzero(every), np.arange(2, 200, 5))
+    away = np.abs((time / 86400 / 27.275 % 1.0) - 0.5)
+    np.testing.assert_allclose(
+        course_of(conditions, ("near", "solar rotation", 0.5, 0.08)), np.exp(-0.5 * (away / 0.08) ** 2)
+    )
+
+
+def test_an_unknown_column_counts_as_nothing(conditions):
+    warm = conditions.covariates["temperature_c"].copy()
+    warm[:7] = np.nan
+    gaps = conditions.with_covariates(temperature_c=warm)
+    for course in [("column", "temperature_c", 1, 9.0, 5.0), ("above", "temperature_c", 5.0), ("late", 0.0)]:
+        assert np.all(course_of(gaps, course)[:7] == 0.0)
+        assert columns_of(course) == ("temperature_c",)
+        template = sentence("front", ("flat",), (PRODUCT, course, ("day",)))
+        np.testing.assert_array_equal(SENTENCE.known_events(gaps, template), np.arange(200) >= 7)
+
+
+def test_finer_forms_lie_about_the_one_found(conditions):
+    for kinds, forms in ((LAWS, list_laws(conditions)), (COURSES, list_courses(conditions))):
+        for form in forms:
+            about = finer(kinds, form, conditions)
+            assert about[0] == form
+            assert len(set(about)) == len(about)
+            assert {one[0] for one in about} == {form[0]}
+    assert ("power", -1.25, 30.0) in finer(LAWS, ("power", -2.0, 30.0), conditions)
+    both = finer(COURSES, (PRODUCT, ("hours", 6.0, 6.0), ("near", "UTC", 0.5, 0.1)), conditions)
+    assert {one[1][0] for one in both} == {"hours"}
+    assert len(both) > 10
+
+
+def test_a_sentence_and_its_opposite_say_the_same_with_the_other_sign(conditions, terms):
+    template = sentence("front", ("flat",), ("wave", "UTC", 2, 1 / 3))
+    turned = opposite(template)
+    np.testing.assert_allclose(
+        signature(SENTENCE, terms, conditions, template), -signature(SENTENCE, terms, conditions, turned), atol=1e-12
+    )
+    assert opposite(sentence("front", ("flat",), ("day",))) is None
+
+
+def test_words_are_those_of_a_colleague():
+    template = sentence("receiver", ("flat",), ("working days",))
+    assert in_words(template) == "the noise of the receiver changes, alike at all frequencies, from Monday to Friday"
+    assert as_equation(template) == "N_RCU -> N_RCU (1 + a Monday-Friday)"
+    wave = sentence("front", ("power", -2.0, 30.0), ("wave", "UTC", 2, 1 / 3))
+    assert in_words(wave).endswith(
+        "as frequency to the power -2 (size at 30 MHz), in 2 waves a UTC day, highest at 8.0 h UTC"
+    )
+
+
+def test_a_model_carries_a_sentence_as_text_and_back(conditions, terms):
+    template = sentence("front", ("band", 58.0, 5.0), (PRODUCT, ("step", "2014-07-01T12:34:56Z"), ("night",)))
+    adopted = AdoptedCause("sentence", "CS002", "station", 0.02, 0.001, template.parameters)
+    model = Model.from_text(Model((adopted,)).to_text())
+    assert model.id == Model((adopted,)).id
+    read = Template(json.loads(model.to_text())["causes"][0]["parameters"])
+    assert parts_of(read) == parts_of(template)
+    np.testing.assert_array_equal(
+        signature(SENTENCE, terms, conditions, read), signature(SENTENCE, terms, conditions, template)
+    )
+    assert "in 5 MHz about 58 MHz" in model.causes[0].sentence
+
+
+@pytest.mark.parametrize(
+    ("course", "is_expected"),
+    [
+        (("step", "2014-07-01T00:00:00Z"), True),
+        (("ramp", "2014-07-01T00:00:00Z"), True),
+        (("wave", "year", 1, 0.2), True),
+        ((PRODUCT, ("day",), ("step", "2014-07-01T00:00:00Z")), True),
+        (("wave", "week", 1, 0.2), False),
+        (("day",), False),
+    ],
+)
+def test_what_follows_dates_is_a_change_and_no_part_of_a_model_of_one_c(course, is_expected):
+    assert is_of_dates(course) == is_expected
+    template = sentence("front", ("flat",), course)
+    assert follows_date("sentence", template.parameters) == is_expected
+    model = Model((AdoptedCause("sentence", "CS002", "station", 0.02, 0.001, template.parameters),))
+    if is_expected:
+        with pytest.raises(BadInputError, match="does not follow the date"):
+            model.require_one_c("model")
+    else:
+        model.require_one_c("model")
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"place": "moon"},
+        {"law": ["colour"]},
+        {"course": ["wave", "UTC"]},
+        {"course": ["hours", "six", 6.0]},
+        {"course": []},
+        {"law": None},
+    ],
+)
+def test_what_is_no_sentence_is_refused_with_what_one_is(wrong):
+    right = {"place": "front", "law": ["flat"], "course": ["day"]}
+    require_sentence("model", right)
+    with pytest.raises(BadInputError, match="a place of sky, antenna, front"):
+        AdoptedCause("sentence", "CS002", "station", 0.02, 0.001, right | wrong)
+
+
+def test_a_law_of_the_chain_is_the_derivative_of_its_curve(conditions, terms):
+    """A resonance lower by c changes ln G by c d ln G / d nu."""
+    template = sentence("front", ("resonance",), ("always",))
+    moved = np.interp(conditions.frequency_mhz + 0.01, conditions.frequency_mhz, np.log(conditions.antenna_gain))
+    front = terms.front * np.exp(moved - np.log(conditions.antenna_gain))
+    found = SENTENCE.apply(terms, conditions, template, 0.01).front
+    np.testing.assert_allclose(found[0, 0, 2:-2], front[0, 0, 2:-2], rtol=2e-3)

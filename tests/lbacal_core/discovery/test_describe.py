@@ -1,0 +1,79 @@
+"""Effects that no catalogue lists, planted by the twin, in words: place, law, course, and what is left of them."""
+
+import json
+
+import numpy as np
+import pytest
+
+from lbacal_core.causes.grammar import parts_of
+from lbacal_core.causes.model import Model
+from lbacal_core.discovery.describe import CERTAIN, Description, describe_structure
+from lbacal_core.discovery.hypothesis import list_targets
+from lbacal_core.discovery.policy import Policy
+from lbacal_core.discovery.refit import fit_chain
+from lbacal_core.discovery.report import investigate
+from lbacal_core.discovery.residual_structure import strongest_structure
+from lbacal_twin.faults.uncatalogued import AuroralAbsorption, FieldGradient, MainsHum, WorkingWeek
+
+
+@pytest.mark.long
+def test_noise_is_not_put_into_words(station):
+    """Not even where one asks for the structure that chance explains least."""
+    model = fit_chain(station)
+    structure = strongest_structure(model.linear, np.random.default_rng(0))
+    assert describe_structure(model, structure, list_targets(station), Policy()) == Description()
+
+
+def test_noise_of_receivers_on_working_days_is_said_so_and_adopted(spoil, simulation):
+    spectra = spoil(WorkingWeek(size=0.08))
+    report, _ = investigate(spectra, simulation)
+    left = report["unexplained"]
+    first = left["sentences"][0]
+    assert (first["parameters"]["place"], first["parameters"]["course"]) == ("receiver", ("working days",))
+    assert first["equation"].startswith("N_RCU -> N_RCU (1 + a ")
+    assert abs(first["size"]["value"] - 0.08) < 4 * first["size"]["sigma"]
+    assert first["log_odds"] > CERTAIN
+    assert first["gain"]["held_out_log_likelihood_gain"] > 0.4 * first["gain"]["chi2"]
+    assert left["remains"] is None
+    assert "from Monday to Friday" in left["in_words"]
+    model = Model.from_report(json.loads(json.dumps(report)), "unexplained")
+    again, _ = investigate(spectra, simulation.with_causes(model))
+    assert again["verdict"] == "consistent"
+
+
+@pytest.mark.long
+def test_absorption_in_some_nights_of_a_solar_rotation_is_a_product_of_two_courses(spoil, simulation):
+    """Sky times (30 MHz / nu)^2, half way through a rotation of 27.275 days, at night."""
+    _, (found,) = investigate(spoil(AuroralAbsorption(size=0.15)), simulation)
+    place, law, course = parts_of(found.description.sentences[0].hypothesis.template)
+    assert place in ("sky", "front")
+    assert law[0] == "power"
+    assert law[1] == pytest.approx(-2.0, abs=0.5)
+    assert course[0] == "product"
+    near = next(one for one in course[1:] if one[0] == "near")
+    assert near[1] == "solar rotation"
+    assert near[2] % 1.0 == pytest.approx(0.5, abs=0.06)
+    assert ("night",) in course[1:]
+
+
+@pytest.mark.long
+def test_a_shadow_that_grows_from_antenna_to_antenna_is_said_to(spoil, simulation):
+    report, (found,) = investigate(spoil(FieldGradient(size=0.25)), simulation)
+    assert abs(found.description.grows_with_number) > 0.9
+    assert "grows with their number" in report["unexplained"]["in_words"]
+    assert report["unexplained"]["sentences"][0]["parameters"]["course"][:3] == ("wave", "LST", 1)
+
+
+@pytest.mark.long
+def test_rivals_come_with_odds_and_with_what_would_decide(spoil, simulation):
+    """A gain that swings with two waves a day: at this size the data tell its course, and hardly its place."""
+    report, (found,) = investigate(spoil(MainsHum(size=0.006)), simulation)
+    left = report["unexplained"]
+    odds = [one["odds_to_first"] for one in left["sentences"]]
+    assert odds[0] == 1.0
+    assert len(odds) > 1
+    assert all(0.05 < one <= 1.0 for one in odds)
+    assert "The data hardly tell this from" in left["in_words"]
+    assert "course" in left["in_words"].split("Known:")[1]
+    assert "more events" in left["would_decide"]
+    assert found.description.decider.times > 1.0
