@@ -179,7 +179,7 @@ class DataSet:
         return self.ask_and_fit(faults, is_own_sky=is_own_sky)[0]
 
     def ask_and_fit(
-        self, faults: Sequence[Fault] = (), *, is_own_sky: bool = False
+        self, faults: Sequence[Fault] = (), *, is_own_sky: bool = False, without: str = ""
     ) -> tuple[Answer, FittedModel | None]:
         """The answer, and the fitted model with what was found; None where the finder broke down."""
         known = None if self.world is None else alternatives(self.world, self.finder)
@@ -190,6 +190,7 @@ class DataSet:
             is_own_sky=is_own_sky or known is not None,
             models=known,
             seed=self.seed,
+            without=without,
         )
 
     def draw(self, cause: str, rng: np.random.Generator, scopes: tuple[str, ...] = ()) -> Planted:

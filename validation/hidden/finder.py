@@ -8,11 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from lbacal_core.causes.catalogue import CAUSES
+from lbacal_core.discovery.adopted import find_members
 from lbacal_core.discovery.curve_search import describe_curve, investigate_curve
+from lbacal_core.discovery.hypothesis import Hypothesis, Target
 from lbacal_core.discovery.refit import power_ratio
 from lbacal_core.discovery.report import investigate
 from lbacal_core.discovery.search import StationReport
-from lbacal_core.discovery.station import gather_stations
+from lbacal_core.discovery.station import Station, gather_stations
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.lstcurve.curve import LstCurve
@@ -82,10 +85,18 @@ class FittedModel:
 
     _station: StationReport
 
+    @property
+    def places(self) -> list[str]:
+        """Place in the chain of each sentence that describes what no cause explains, the likeliest first."""
+        sentences = self._station.description.sentences
+        return [str(one.hypothesis.template.parameters["place"]) for one in sentences]
+
     def ratio(
-        self, spectra: Spectra, instrument: Instrument, sky_power: SkyPower
+        self, spectra: Spectra, instrument: Instrument, sky_power: SkyPower, sentence: int | None = None
     ) -> tuple[Floats, list[tuple[int, str]], Floats]:
         """Power with what was found over power without, in other spectra of the station.
+
+        With a `sentence` the findings that stand, and beside them the sentence of that number.
 
         Returns
         -------
@@ -97,11 +108,20 @@ class FittedModel:
         paths_of_rows = [f"{antenna} {dipole}" for antenna, dipole in zip(spectra.antenna, spectra.dipole, strict=True)]
         (other,) = gather_stations(spectra.select(np.isin(paths_of_rows, names)), Simulation(instrument, sky_power))
         terms = replace(self._station.last.baseline.terms, sky=other.sky)
-        ratio = power_ratio(other, terms, self._station.last.hypotheses)
+        found = self._station.last.hypotheses
+        if sentence is not None:
+            said = self._station.description.sentences[sentence].hypothesis
+            found = [*(one.hypothesis for one in self._station.findings), said]
+        found = [replace(one, target=_target_in(other, one)) for one in found]
+        ratio = power_ratio(other, terms, found)
         paths = [(int(antenna), str(dipole)) for antenna, dipole in zip(other.antenna, other.dipole, strict=True)]
         times = other.conditions.time_unix
         shape = (len(paths), times.size, instrument.frequency_mhz.size)
         return np.ones(shape) if ratio is None else ratio, paths, times
+
+
+def _target_in(station: Station, one: Hypothesis) -> Target:
+    return replace(one.target, is_member=find_members(station, one.target.label))
 
 
 def ask_finder(
@@ -112,16 +132,21 @@ def ask_finder(
     is_own_sky: bool,
     seed: int,
     models: DifferenceModels | None = None,
+    without: str = "",
 ) -> tuple[Answer, FittedModel | None]:
     """Ask what is hidden in the spectra of one station.
 
-    With `models` the differences that are profiled out are those of these models.
+    With `models` the differences that are profiled out are those of these models. The cause `without` is taken out of
+    the catalogue.
 
     A finder that breaks down on the data is recorded, and never counts as right.
     """
     try:
         report, stations = investigate(
-            spectra, Simulation(instrument, sky_power, is_own_sky=is_own_sky, models=models), seed=seed
+            spectra,
+            Simulation(instrument, sky_power, is_own_sky=is_own_sky, models=models),
+            seed=seed,
+            catalogue=[one for one in CAUSES if one.identifier != without],
         )
     except (ArithmeticError, LookupError, ValueError) as error:
         return Answer(f"failed: {error}", [], None, []), None

@@ -54,9 +54,9 @@ def hide_in_halves(number: int) -> Row:
     }
 
 
-def found_ratio(model: FittedModel, data: DataSet, spectra: Spectra) -> Floats:
+def found_ratio(model: FittedModel, data: DataSet, spectra: Spectra, sentence: int | None = None) -> Floats:
     """Power with what was found over power without, in other spectra; shape (path, event, freq) of the twin."""
-    ratio, paths, times = model.ratio(spectra, data.instrument, OWN.power())
+    ratio, paths, times = model.ratio(spectra, data.instrument, OWN.power(), sentence)
     row = {(int(antenna), dipole): k for k, (antenna, dipole) in enumerate(product(data.scene.antennas, DIPOLES))}
     whole = np.ones((len(row), len(data.scene.time_unix), len(data.scene.frequency_mhz)))
     event = np.searchsorted(data.scene.time_unix, times)
