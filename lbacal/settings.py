@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 from difflib import get_close_matches
+from pathlib import Path
 
 from lbacal_core.errors import BadInputError
 
@@ -20,12 +21,18 @@ CLIENT_SETTINGS = {
 }
 """What the client, extras and the tests read: meaning and default."""
 SERVER_SETTINGS = (
-    "LBACAL_DATABASE_URL", "LBACAL_INSTRUMENT", "LBACAL_SKY_POWER", "LBACAL_RESISTANCE_OHM", "LBACAL_MAX_BODY_MB",
-    "LBACAL_MAX_OPEN_PARTS", "LBACAL_MAX_WINDOW_DAYS", "LBACAL_MAX_CONNECTIONS", "LBACAL_MAX_RATE", "LBACAL_OPEN_READS",
+    "LBACAL_DATABASE_URL", "LBACAL_INSTRUMENT", "LBACAL_SKY_POWER", "LBACAL_CAUSES", "LBACAL_RESISTANCE_OHM",
+    "LBACAL_MAX_BODY_MB", "LBACAL_MAX_OPEN_PARTS", "LBACAL_MAX_WINDOW_DAYS", "LBACAL_MAX_CONNECTIONS", "LBACAL_MAX_RATE", "LBACAL_OPEN_READS",
     "LBACAL_WAIT_S", "LBACAL_LEASE_S", "LBACAL_POLL_S", "LBACAL_NIGHTLY_UTC", "LBACAL_QUIET_S",
     "LBACAL_CUT_WINDOWS", "LBACAL_NIGHTLY_INVESTIGATIONS", "LBACAL_STALE_DAYS", "LBACAL_GATE_CHANGE",
     "LBACAL_GATE_ERROR", "LBACAL_GATE_COVERAGE", "LBACAL_GATE_BAND", "LBACAL_LOG_LEVEL",
 )  # fmt: skip
+
+
+def causes_file() -> Path | None:
+    """The file of the causes that this installation has beside the catalogue."""
+    named = os.environ.get("LBACAL_CAUSES")
+    return Path(named) if named else None
 
 
 def require_known_settings() -> None:

@@ -47,7 +47,7 @@ def read_model(given: Extended, option: str = "--with") -> Model:
 
     if given is None:
         return PLAIN
-    content, number = _read_report(given, option)
+    content, number = read_report(given, option)
     try:
         return Model.from_report(content, number)
     except BadInputError as error:
@@ -65,16 +65,17 @@ def read_open_terms(given: Extended, option: str = "--with") -> list[OpenTerm]:
     if given is None:
         return []
     try:
-        content, number = _read_report(given, option, field="findings")
+        content, number = read_report(given, option, field="findings")
         every = range(len(content["findings"])) if option in ADOPTING else ()
         return list_open_terms(content, every if number is None else [number])
     except (UnreadableFileError, KeyError, TypeError) as error:
         raise BadInputError(f"{option} {given}", "a report of lbacal investigate", "another file") from error
 
 
-def _read_report(
+def read_report(
     given: str | Path | Reported, option: str, field: str = "verdict"
 ) -> tuple[Mapping[str, Any], int | str | None]:
+    """A report, or the content of its file, and the number of a finding behind # (``unexplained``; None for none)."""
     if not isinstance(given, str | Path):
         return given.report, given.number
     name, number = _split(str(given))

@@ -26,6 +26,7 @@ class Settings(BaseSettings):
     database_url: str = Field(default="./var/lbacal.sqlite", description="SQLite file, or postgresql://user@host/name")
     instrument: str = Field(default="lofar-superterp", description="name of a shipped instrument, or a file")
     sky_power: Path | None = Field(default=None, description="sky power file; none = the package's own sky")
+    causes: Path | None = Field(default=None, description="file of causes beside the catalogue (lbacal causes add)")
     resistance_ohm: float = Field(default=50.0, gt=0, description="R_r of all spectra, Ohm; it cancels in C")
     max_body_mb: float = Field(default=64, gt=0, description="largest request body, MB")
     max_open_parts: int = Field(default=50, gt=0, description="parts of jobs that one key may have waiting")

@@ -90,11 +90,13 @@ class Factory:
     @cached_property
     def simulation(self) -> Simulation:
         """The instrument under the package's own sky, or the P_sky of the settings' file."""
+        from lbacal_core.causes.own import catalogue_with
         from lbacal_core.simulation.simulation import Simulation  # a second to import, and only fits need it
 
         given = self.settings.sky_power
         read = None if given is None else read_sky_power(given)
-        return Simulation(self.instrument, read, most_remembered=BLOCKS_REMEMBERED)
+        catalogue = catalogue_with(self.settings.causes)
+        return Simulation(self.instrument, read, catalogue=catalogue, most_remembered=BLOCKS_REMEMBERED)
 
     @cached_property
     def inputs(self) -> Inputs:

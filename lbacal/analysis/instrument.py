@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Union
 from astropy import units as u
 
 from lbacal.chain import Chain, convert_number, convert_numbers, spread_numbers
+from lbacal.settings import causes_file
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.antennas import ABSOLUTE, AntennaRecord, GainProvenance
 from lbacal_core.instrument.antennas import Site as CoreSite
@@ -188,10 +189,11 @@ def core_of(instrument: Any) -> CoreInstrument:
 
 def simulation_of(instrument: Any, sky_power: SkyPower | str | Path | None = None) -> Simulation:
     """The instrument under its own sky, or under a P_sky that is given or read."""
+    from lbacal_core.causes.own import catalogue_with
     from lbacal_core.simulation.simulation import Simulation
     from lbacal_core.sky.table import read_sky_power
 
     if isinstance(instrument, Simulation):
         return instrument
     given = read_sky_power(Path(sky_power)) if isinstance(sky_power, str | Path) else sky_power
-    return Simulation(core_of(instrument), given)
+    return Simulation(core_of(instrument), given, catalogue=catalogue_with(causes_file()))

@@ -65,10 +65,10 @@ def investigate(
         return
     if report is None:
         raise typer.BadParameter("name the report to write with --report")
+    from lbacal.analysis.instrument import simulation_of
     from lbacal.analysis.investigate import investigate as investigate_data
     from lbacal.cli.outputs import require_outputs
     from lbacal_core.lstcurve.curve import read_lst_curve
-    from lbacal_core.simulation.simulation import Simulation
 
     if (not spectra) == (lst_curve is None):
         raise typer.BadParameter("name spectra files or --lst-curve, one of the two")
@@ -84,7 +84,7 @@ def investigate(
     inputs["--with"] = None if with_ is None else report_path(with_)
     require_outputs({"--report": report, "--html": html}, {**inputs, "--instrument": instrument})
     read_model(with_)
-    simulation = Simulation.load(instrument or "lofar-superterp", sky_power)
+    simulation = simulation_of(instrument or "lofar-superterp", sky_power)
     measured = read_lst_curve(lst_curve) if lst_curve else read_selected(files, selection, time.time(), _say)
     found = investigate_data(measured, simulation, None, with_, band, tell=_say)
     for path, form in ((report, ".json"), (html, ".html")):

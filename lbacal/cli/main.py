@@ -19,6 +19,7 @@ import typer.core
 from lbacal.cli.audit import audit
 from lbacal.cli.budget import budget
 from lbacal.cli.calibration_tables import check_table, export
+from lbacal.cli.causes import causes
 from lbacal.cli.client import effective, ingest, jobs, refit, sync
 from lbacal.cli.fit import fit
 from lbacal.cli.import_ import import_
@@ -41,7 +42,7 @@ ENTRY_POINTS = "lbacal.commands"
 
 GROUPS = {
     "C from files": ("fit", "budget", "audit", "investigate", "predict", "lst-curve", "paper"),
-    "Data and models": ("spectra", "import", "sky-power", "antenna-gain", "check-table", "export"),
+    "Data and models": ("spectra", "import", "sky-power", "antenna-gain", "check-table", "export", "causes"),
     "Ask a server": ("effective", "life", "status", "alarms", "jobs", "models", "ingest", "sync"),
     "Decide what is in effect": (
         "changes", "refit", "promote", "withdraw", "rollback", "tag", "adopt", "abandon",
@@ -97,6 +98,7 @@ _ASKING: tuple[Callable[..., None], ...] = (
 for command in (*map(_needing_fit, _COMPUTING), import_, *_ASKING):
     app.command(_name(command))(command)
 app.add_typer(changes, name="changes")
+app.add_typer(causes, name="causes")
 
 
 def _print_version(is_asked: bool) -> None:

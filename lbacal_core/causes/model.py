@@ -36,7 +36,7 @@ INSTANT, IN_WORDS = "date_unix", "date"
 
 def follows_date(cause: str, parameters: Mapping[str, Any]) -> bool:
     """Whether a cause acts along the date: it steps, drifts, or follows the season."""
-    if cause == Sentence.identifier:
+    if "course" in parameters:
         return is_of_dates(parameters["course"])
     return cause == "gain_drift" or INSTANT in parameters or parameters.get("follows") == "season"
 
@@ -274,6 +274,7 @@ def _adopt_finding(finding: Mapping[str, Any], place: str, since_unix: int | Non
             raise BadInputError(place, "a size with an error", f"{cause} at {size['value']}")
         begin = _parse_instant(where["dates"][0]) if since_unix is None else since_unix
         target, parameters = finding["evidence"]["target"], finding["parameters"]
+        cause = Sentence.identifier if "course" in parameters else cause
     except (KeyError, TypeError, IndexError) as error:
         raise BadInputError(place, "the fields of a finding", f"{type(error).__name__}: {error}") from error
     return AdoptedCause(

@@ -14,8 +14,6 @@ from threadpoolctl import threadpool_limits
 from lbacal_core.audit.record import RecordError, put_right
 from lbacal_core.calibration.chain_form import FORM_OF_CHAIN, compare_forms
 from lbacal_core.causes.axes import describe_term
-from lbacal_core.causes.catalogue import CAUSES
-from lbacal_core.causes.cause import Cause
 from lbacal_core.causes.cause import Description as CauseTexts
 from lbacal_core.causes.grammar import PLACES, as_equation, in_words
 from lbacal_core.discovery.adopted import describe_size, fit_adopted
@@ -451,7 +449,6 @@ def investigate(
     *,
     seed: int = 0,
     progress: Callable[[str], None] = lambda _: None,
-    catalogue: Sequence[Cause] = CAUSES,
 ) -> tuple[dict[str, Any], list[StationReport]]:
     """Find what the simulation gets wrong in the spectra of every station.
 
@@ -465,8 +462,6 @@ def investigate(
         Seed of the simulated trials factors.
     progress
         Called with a sentence before each step.
-    catalogue
-        The causes that are looked for.
 
     Returns
     -------
@@ -488,7 +483,7 @@ def investigate(
             policy=policy,
             progress=progress,
             model=model,
-            catalogue=catalogue,
+            catalogue=simulation.catalogue,
         )
         reports = []
         for station in stations:
@@ -504,7 +499,7 @@ def investigate(
             "instrument": simulation.instrument.digest(),
             "sky_power": simulation.sky_power.digest(),
         },
-        settings={"policy": policy.as_dict(), "seed": seed, "own_sky": simulation.is_own_sky},
+        settings={"policy": policy.as_dict(), "seed": seed, "own_sky": simulation.is_own_sky, **simulation.own_causes},
         notes={FORM_OF_CHAIN: str(form), "sky_power": simulation.sky_power.note_for(simulation.instrument)},
     )
     if model.is_plain:

@@ -17,6 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from lbacal_core.causes.catalogue import CAUSES
+from lbacal_core.causes.cause import Cause
 from lbacal_core.causes.model import PLAIN, Model
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.errors import BadInputError
@@ -62,6 +64,8 @@ class Simulation:
         Names of the models whose differences these are; all that ship unless given.
     causes
         What the chain has besides, with sizes that are fitted together with C.
+    catalogue
+        The causes that an investigation looks for.
     form
         The form of the chain, one of `instrument.chain.FORMS`, where the instrument does not list its stages.
     most_remembered
@@ -75,6 +79,7 @@ class Simulation:
     is_own_sky: bool | None = None
     models: DifferenceModels | None = None
     causes: Model = PLAIN
+    catalogue: Sequence[Cause] = CAUSES
     form: str = PUBLISHED
     most_remembered: int = MOST_REMEMBERED
     made: Remembered[tuple[Any, ...], Any] = field(init=False, repr=False)
@@ -126,6 +131,12 @@ class Simulation:
         return hash_content(
             [self.instrument.digest(), self.sky_power.digest(), self.is_own_sky, self.causes.id, self.form]
         )
+
+    @property
+    def own_causes(self) -> dict[str, list[str]]:
+        """What is looked for beside the catalogue, each in words; nothing where there is none."""
+        own = [f"{one.identifier}: {one.meaning}" for one in self.catalogue if one not in CAUSES]
+        return {"own_causes": own} if own else {}
 
     def changes(self, sky_budget: str = DEFAULT_SKY_BUDGET) -> Sequence[SkyTerm]:
         """What sky, pattern and ground may be wrong by, for the error of C (`simulation.prior.list_changes`)."""

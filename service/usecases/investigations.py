@@ -68,7 +68,7 @@ class Investigations:
 
         A station's year with too few events for any fit is not yet due.
         """
-        search = [self.simulation.is_own_sky, Policy().as_dict()]
+        search = [self.simulation.is_own_sky, Policy().as_dict(), *self.simulation.own_causes.values()]
         for since, until in find_years(stores):
             for station, content in stores.spectra.stations_with(since, until, MIN_EVENTS).items():
                 yield describe_part(station, since, until), [content, search]
@@ -102,6 +102,7 @@ class Investigations:
             "environment": hash_covariates(spectra),
             **self.fits.name_simulation(request["since"], request["until"], Scope(request["station"])),
             "policy": Policy().as_dict(),
+            **self.simulation.own_causes,
             **({} if model.is_plain else {"model": model.id}),
         }
 

@@ -144,9 +144,14 @@ def ask_finder(
     try:
         report, stations = investigate(
             spectra,
-            Simulation(instrument, sky_power, is_own_sky=is_own_sky, models=models),
+            Simulation(
+                instrument,
+                sky_power,
+                is_own_sky=is_own_sky,
+                models=models,
+                catalogue=[one for one in CAUSES if one.identifier != without],
+            ),
             seed=seed,
-            catalogue=[one for one in CAUSES if one.identifier != without],
         )
     except (ArithmeticError, LookupError, ValueError) as error:
         return Answer(f"failed: {error}", [], None, []), None

@@ -1,12 +1,14 @@
 """Effects that no catalogue lists, planted by the twin, in words: place, law, course, and what is left of them."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from lbacal_core.causes.grammar import parts_of
 from lbacal_core.causes.model import Model
+from lbacal_core.causes.own import FORMAT, NamedSentence, catalogue_with
 from lbacal_core.discovery.describe import CERTAIN, Description, describe_structure
 from lbacal_core.discovery.hypothesis import list_targets
 from lbacal_core.discovery.policy import Policy
@@ -77,3 +79,26 @@ def test_rivals_come_with_odds_and_with_what_would_decide(spoil, simulation):
     assert "course" in left["in_words"].split("Known:")[1]
     assert "more events" in left["would_decide"]
     assert found.description.decider.times > 1.0
+
+
+@pytest.mark.long
+def test_a_cause_that_an_installation_named_is_found_by_its_name(spoil, clean, simulation, tmp_path):
+    path = tmp_path / "causes.json"
+    workshop = {"name": "workshop", "place": "receiver", "law": ["flat"], "course": ["working days"]}
+    path.write_text(json.dumps({"format": FORMAT, "causes": [workshop]}))
+    named = replace(simulation, catalogue=catalogue_with(path))
+    for spectra, found in ((spoil(WorkingWeek(size=0.08)), ["workshop"]), (clean, [])):
+        report, _ = investigate(spectra, named)
+        assert [one["cause"] for one in report["findings"]] == found
+        assert report["verdict"] == ("explained" if found else "consistent")
+        assert report["provenance"]["settings"]["own_causes"][0].startswith("workshop: the noise of the receiver")
+    (adopted,) = Model.from_report(json.loads(json.dumps(investigate(spoil(WorkingWeek(size=0.08)), named)[0]))).causes
+    assert adopted.cause == "sentence"
+    assert abs(adopted.size - 0.08) < 4 * adopted.sigma
+
+
+def test_a_cause_of_a_column_waits_for_data_that_have_it(station):
+    windy = NamedSentence.of("windy", {"place": "front", "law": ["flat"], "course": ["above", "wind_m_s", 9.0]})
+    assert windy.templates(station.conditions) == []
+    speed = np.linspace(0.0, 20.0, station.conditions.time_unix.size)
+    assert len(windy.templates(station.conditions.with_covariates(wind_m_s=speed))) == 1
