@@ -359,6 +359,20 @@ def columns_of(course: Form) -> tuple[str, ...]:
     return {"late": (TEMPERATURE,), "wet": (RAIN,), "column": course[1:2], "above": course[1:2]}.get(course[0], ())
 
 
+def axis_of(course: Form) -> str:
+    """Name of the axis, or of the column, along which a course varies most; of a product its first."""
+    name, *numbers = course
+    if name == PRODUCT:
+        return axis_of(numbers[0])
+    if name in ("column", "above"):
+        return str(numbers[0])
+    periods = {SIDEREAL: "lst", SOLAR: "utc", WEEK: 7, ROTATION: 27.3, LUNATION: 29.53}
+    by_name = {"working days": 7, "late": TEMPERATURE, "wet": RAIN, "always": "lst", "sky": "lst"}
+    by_name |= dict.fromkeys(("hours", "day", "night", "sun"), "utc")
+    found = periods.get(numbers[0], "date") if name in ("wave", "near") else by_name.get(name, "date")
+    return found if isinstance(found, str) else f"date, period {found:g} d"
+
+
 def list_laws(conditions: Conditions) -> list[Form]:
     """Every law that a search of these data tries."""
     return [(name, *numbers) for name, kind in LAWS.items() for numbers in kind.grid(conditions)]

@@ -22,6 +22,7 @@ from lbacal_core.causes.grammar import (
     PRODUCT,
     Form,
     Sentence,
+    axis_of,
     columns_of,
     course_of,
     list_courses,
@@ -35,7 +36,12 @@ from lbacal_core.discovery.hypothesis import Hypothesis, Target
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.refit import FittedModel, held_out_gain, refit
-from lbacal_core.discovery.residual_structure import STATION, ResidualStructure, find_structure
+from lbacal_core.discovery.residual_structure import (
+    STATION,
+    ResidualStructure,
+    find_structure,
+    structure_along,
+)
 from lbacal_core.discovery.scan import Score, SpectralFamily, score_families, score_in_path
 from lbacal_core.grids import Floats
 
@@ -52,6 +58,11 @@ ROUGH: Sequence[Form] = (
     ("filter",),
 )
 """Laws with which all courses are tried first."""
+NOTICED_AT: Sequence[str] = ("sky", "antenna", "front", "receiver", "converter")
+NOTICED_BY: Sequence[Form] = (
+    ("flat",), ("power", -2.0, 30.0), ("power", 2.0, 80.0), ("below", 40.0), ("band", 60.0, 12.0)
+)  # fmt: skip
+"""Places and laws by which sentences are noticed: a second of one core for 12 antennas and 900 events."""
 LIKELY, KEPT, FITTED = 12, 6, 4
 """Courses that are tried with all laws, sentences from which products grow, and sentences fitted with the chain."""
 CERTAIN = 7.0
@@ -164,6 +175,21 @@ def _targets_of(structure: ResidualStructure, targets: Sequence[Target]) -> list
         return [one for one in targets if one.is_wide]
     path = [one for one in targets if one.label == structure.target]
     return [one for one in targets if not one.is_wide and path and np.all(one.is_member >= path[0].is_member)][::-1]
+
+
+def notice(model: LinearModel, targets: Sequence[Target], alpha: float) -> ResidualStructure | None:
+    """Structure of the station that a sentence shows and that smooth functions of an axis are too many for.
+
+    Noise of a receiver on working days is one sentence, and 24 functions of the day of the week and of frequency: at an
+    ideal SNR of 10 these do not show it. The description length counts every alternative, so that e to the minus
+    log-odds bounds the probability of a false alarm (Bonferroni).
+    """
+    rough = _score(model, targets[-1:], list(product(NOTICED_AT, NOTICED_BY)), list_courses(model.station.conditions))
+    best = max(rough, key=lambda one: one.gain)
+    chance = float(np.exp(-0.5 * best.gain))
+    if chance > min(alpha, np.exp(-CERTAIN)):
+        return None
+    return structure_along(model, axis_of(parts_of(best.template)[2]), chance)
 
 
 # The search: all courses with a few laws, all laws with the best courses, products of these, and finer numbers.

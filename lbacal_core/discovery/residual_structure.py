@@ -307,6 +307,19 @@ def find_gain_waves(
     return _tell(model, _in_means(model.residuals.levels, flat, axis, basis), {axis: basis}, chance)
 
 
+def structure_along(model: LinearModel, name: str, chance: float) -> ResidualStructure | None:
+    """The structure of the means along an axis, by its name in a report, that has a probability known otherwise.
+
+    None where these data do not have the axis.
+    """
+    conditions = model.station.conditions
+    axis = next((one for one in list_axes(conditions) if name in (one.name, one.column)), None)
+    basis = None if axis is None else axis.basis(conditions)
+    if axis is None or basis is None:
+        return None
+    return _tell(model, _in_means(model.residuals.levels, _see_in_means(model), axis, basis), {axis: basis}, chance)
+
+
 def chance_of_following(model: LinearModel, found: Hypothesis, axis: Axis) -> float:
     """Probability by chance that the size of a cause, which is part of the model, follows an axis as much as it does.
 

@@ -19,7 +19,7 @@ from lbacal_core.causes.model import PLAIN, Model
 from lbacal_core.discovery.adopted import FittedSize, fit_adopted
 from lbacal_core.discovery.antennas import AntennaScore, compare_antennas, compare_cable_names, why_no_comparison
 from lbacal_core.discovery.baseline import leave_out_deaf
-from lbacal_core.discovery.describe import Description, describe_structure
+from lbacal_core.discovery.describe import Description, describe_structure, notice
 from lbacal_core.discovery.findings import Finding, Grown, SameAgain, StationSearch, grow_findings
 from lbacal_core.discovery.hypothesis import Hypothesis, list_targets, p_of
 from lbacal_core.discovery.policy import Policy
@@ -136,6 +136,8 @@ def search_station(
     grown = grow_findings(first, search)
     progress(f"{station.name}: looking for structure that no cause explains")
     structure = _structure_beside(first, grown, search, np.random.default_rng(seed))
+    if structure is None and not grown.findings:
+        structure = notice(grown.last.linear, targets, policy.structure_alpha / stations)
     last, similar = grown, list[Finding]()
     if structure is not None:
         withdrawn = _withdrawn(first.linear, grown.findings, structure, search.again, policy)

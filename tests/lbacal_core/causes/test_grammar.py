@@ -6,6 +6,7 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
+from lbacal_core.causes.axes import list_axes
 from lbacal_core.causes.cause import Template, signature
 from lbacal_core.causes.grammar import (
     COURSES,
@@ -14,6 +15,7 @@ from lbacal_core.causes.grammar import (
     PRODUCT,
     Sentence,
     as_equation,
+    axis_of,
     columns_of,
     course_of,
     finer,
@@ -211,3 +213,12 @@ def test_a_law_of_the_chain_is_the_derivative_of_its_curve(conditions, terms):
     front = terms.front * np.exp(moved - np.log(conditions.antenna_gain))
     found = SENTENCE.apply(terms, conditions, template, 0.01).front
     np.testing.assert_allclose(found[0, 0, 2:-2], front[0, 0, 2:-2], rtol=2e-3)
+
+
+def test_every_course_varies_along_an_axis_of_the_data(conditions):
+    wind = conditions.with_covariates(wind_m_s=np.linspace(0.0, 20.0, 200))
+    known = {name for axis in list_axes(wind) for name in (axis.name, axis.column)}
+    named = {axis_of(course) for course in list_courses(wind)}
+    assert named <= known
+    assert {"lst", "utc", "date", "date, period 7 d", "date, period 27.3 d", "temperature_c", "wind_m_s"} <= named
+    assert axis_of((PRODUCT, ("wave", "week", 1, 0.0), ("night",))) == "date, period 7 d"

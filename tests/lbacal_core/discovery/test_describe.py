@@ -9,12 +9,13 @@ import pytest
 from lbacal_core.causes.grammar import parts_of
 from lbacal_core.causes.model import Model
 from lbacal_core.causes.own import FORMAT, NamedSentence, catalogue_with
-from lbacal_core.discovery.describe import CERTAIN, Description, describe_structure
+from lbacal_core.discovery.describe import CERTAIN, Description, describe_structure, notice
 from lbacal_core.discovery.hypothesis import list_targets
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.refit import fit_chain
 from lbacal_core.discovery.report import investigate
-from lbacal_core.discovery.residual_structure import strongest_structure
+from lbacal_core.discovery.residual_structure import find_structure, strongest_structure
+from lbacal_core.discovery.station import gather_stations
 from lbacal_twin.faults.uncatalogued import AuroralAbsorption, FieldGradient, MainsHum, WorkingWeek
 
 
@@ -102,3 +103,13 @@ def test_a_cause_of_a_column_waits_for_data_that_have_it(station):
     assert windy.templates(station.conditions) == []
     speed = np.linspace(0.0, 20.0, station.conditions.time_unix.size)
     assert len(windy.templates(station.conditions.with_covariates(wind_m_s=speed))) == 1
+
+
+def test_what_the_test_along_axes_is_too_wide_for_is_noticed_by_its_sentence(spoil, clean, simulation):
+    """Absorption in some nights of a solar rotation was called consistent: the axis has 24 functions, and a gate none."""
+    (spoilt,), (quiet,) = (gather_stations(one, simulation) for one in (spoil(AuroralAbsorption(size=0.06)), clean))
+    for data, axis in ((spoilt, "date, period 27.3 d"), (quiet, None)):
+        linear = fit_chain(data).linear
+        assert find_structure(linear, np.random.default_rng(0), 0.002) is None
+        found = notice(linear, list_targets(data), 0.002)
+        assert (found and found.axis_name) == axis
