@@ -1,8 +1,9 @@
 """Effects that no catalogue lists, in words: place in the chain, law along frequency and course in time.
 
-Parts: the eight uncatalogued effects of the twin (unlisted), and causes of the catalogue that were taken out of it
-(left-out). What is said is compared with the planted effect by the templates of both in data that were not used, less
-what a fit of the chain absorbs: no word of a sentence is judged but its place.
+Parts: the eight uncatalogued effects of the twin (unlisted), causes of the catalogue that were taken out of it
+(left-out), and effects composed of laws and courses of which the finder has only some (composed). What is said is
+compared with the planted effect by the templates of both in data that were not used, less what a fit of the chain
+absorbs: no word of a sentence is judged but its place.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from lbacal_twin.faults.composed import draw_composed
 from lbacal_twin.faults.uncatalogued import uncatalogued_faults
 from validation.hidden.data_sets import EVENTS, DataSet, Planted, moving_causes
 from validation.hidden.held_out import chi_squared, found_ratio
@@ -19,7 +21,7 @@ from validation.machinery.claims import Found, mean_of, rate_of
 from validation.machinery.parts import Part, Row
 from validation.machinery.tables import by
 
-FIRST_SEED, LEFT_OUT_FROM = 900_000_000, 950_000_000
+FIRST_SEED, LEFT_OUT_FROM, COMPOSED_FROM = 900_000_000, 950_000_000, 970_000_000
 """Seeds of data sets of these parts; those of others begin elsewhere."""
 LARGE, SMALL, LEFT_OUT = 25.0, 10.0, 15.0
 """Ideal SNR of the effects, in the half of the events that is used."""
@@ -61,6 +63,12 @@ PLACES = {
     "rfi_line": ("converter",),
     "solar_emission": ("antenna", "sky"),
     "zenith_weighting": ("sky",),
+    "sky": ("sky",),
+    "added": ("antenna",),
+    "gain": ("front",),
+    "receiver noise": ("receiver",),
+    "receiver": ("behind",),
+    "converter": ("converter",),
 }
 """Where each effect acts, by the twin: what is added to the sky may be called a change of it as well."""
 
@@ -106,6 +114,18 @@ def try_left_out(seed: int) -> Row:
     return describe_hidden(seen, planted, LEFT_OUT, cause, cause)
 
 
+def try_composed(seed: int) -> Row:
+    rng = np.random.default_rng([12, seed])
+    seen = DataSet(COMPOSED_FROM + seed, events=2 * EVENTS, half=0)
+    for _ in range(TRIES):
+        fault = draw_composed(rng, FIRST_SIZE)
+        planted = seen.with_snr(Planted("composed", fault, "station", "station"), LARGE)
+        if planted is not None:
+            said = " x ".join(one for one, _ in (fault.law, *fault.courses))
+            return {**describe_hidden(seen, planted, LARGE, fault.place), "composed": said}
+    return {**describe_hidden(seen, None, LARGE, ""), "composed": ""}
+
+
 def _found(rows: Sequence[Row], prefix: str = "") -> list[Found]:
     """Of all that could be planted: what is noticed, said, right in law and course, and right in place."""
     made = [row for row in rows if row["verdict"]]
@@ -136,11 +156,12 @@ def judge_unlisted(rows: Sequence[Row]) -> list[Found]:
     ]
 
 
-def judge_left_out(rows: Sequence[Row]) -> list[Found]:
+def judge_one_size(rows: Sequence[Row]) -> list[Found]:
     return _found(rows)
 
 
 PARTS = (
     Part("unlisted", try_unlisted, judge_unlisted, 80, by("kind")),
-    Part("left-out", try_left_out, judge_left_out, 110, by("kind")),
+    Part("left-out", try_left_out, judge_one_size, 110, by("kind")),
+    Part("composed", try_composed, judge_one_size, 60, by("composed")),
 )

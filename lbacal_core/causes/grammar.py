@@ -109,11 +109,11 @@ LAWS: dict[str, Kind] = {
     "bow": Kind(lambda c: 1.5 * _along_band(c) ** 2 - 0.5, _once, "bowed along the band", "P2(ln nu)"),
     "tilt": Kind(_along_band, _once, "tilted along the band", "P1(ln nu)"),
     "band": Kind(
-        lambda c, middle, width: np.exp(-0.5 * ((c.frequency_mhz - middle) / (0.5 * width)) ** 4),
-        lambda c: [*product(_every(c, 4.0), (5.0,)), *product(_every(c, 8.0), (12.0,))],
+        lambda c, middle, width, power: np.exp(-0.5 * (np.abs(c.frequency_mhz - middle) / (0.5 * width)) ** power),
+        lambda c: [*product(_every(c, 4.0), (5.0,), (4, 2)), *product(_every(c, 8.0), (12.0,), (4, 2))],
         "in {1:g} MHz about {0:g} MHz",
-        "band({0:g}, {1:g} MHz)",
-        (4.0, 3.0),
+        "exp(-|nu - {0:g} MHz|^{2:g} / 2 ({1:g} MHz / 2)^{2:g})",
+        (4.0, 4.0, 0.0),
     ),
     "below": Kind(
         lambda c, edge: _edge(c.frequency_mhz, edge),
@@ -238,6 +238,15 @@ def _where_weeks(conditions: Conditions) -> list[tuple[()]]:
     return [()] if WEEK in _clocks(conditions) else []
 
 
+def _levels(conditions: Conditions, form: Form) -> list[float]:
+    """Levels about that of a course above or below one: between the quantiles beside it."""
+    if form[0] not in ("over", "under"):
+        return []
+    known = conditions.covariates[form[1]][np.isfinite(conditions.covariates[form[1]])]
+    at = float(np.mean(known < form[2]))
+    return [float(f"{one:.4g}") for one in np.quantile(known, np.clip(at + np.linspace(-0.12, 0.12, 9), 0.0, 1.0))]
+
+
 def _rank(conditions: Conditions) -> Floats:
     return np.asarray(np.argsort(np.argsort(conditions.time_unix, kind="stable"), kind="stable"))
 
@@ -257,6 +266,18 @@ COURSES: dict[str, Kind] = {
         lambda c: [(_instant(at),) for at in c.step_dates(40)] if c.has_dates else [],
         "from {0} on",
         "step(t - {0})",
+        gates=True,
+    ),
+    "between": Kind(
+        lambda c, begin, days: c.after(_unix(begin))[:, 0] - c.after(_unix(begin) + days * DAY_S)[:, 0],
+        lambda c: (
+            [(_instant(at), days) for days in (10.0, 20.0, 40.0, 80.0) for at in c.step_dates(36)]
+            if c.has_dates
+            else []
+        ),
+        "for {1:g} days from {0} on",
+        "({0} <= t < {0} + {1:g} d)",
+        (0.0, 10.0),
         gates=True,
     ),
     "ramp": Kind(
@@ -302,12 +323,26 @@ COURSES: dict[str, Kind] = {
         "Monday-Friday",
         gates=True,
     ),
+    "weekend": Kind(
+        lambda c: (_phase(c, WEEK) % 1.0 >= 5 / 7).astype(float),
+        _where_weeks,
+        "on Saturdays and Sundays",
+        "Saturday-Sunday",
+        gates=True,
+    ),
     "column": Kind(_column, _powers, "with ({0} - {2:g})^{1:g}", "(({0} - {2:g}) / {3:g})^{1:g}", (0, 0, 0, 0)),
-    "above": Kind(
+    "over": Kind(
         lambda c, name, level: (np.nan_to_num(c.covariates[name], nan=-np.inf) > level).astype(float),
         lambda c: [(name, one) for name in _columns(c) for one in _quantiles(c, name)[0]],
         "where {0} exceeds {1:g}",
         "({0} > {1:g})",
+        gates=True,
+    ),
+    "under": Kind(
+        lambda c, name, level: (np.nan_to_num(c.covariates[name], nan=np.inf) < level).astype(float),
+        lambda c: [(name, one) for name in _columns(c) for one in _quantiles(c, name)[0]],
+        "where {0} is below {1:g}",
+        "({0} < {1:g})",
         gates=True,
     ),
     "late": Kind(
@@ -356,7 +391,13 @@ def columns_of(course: Form) -> tuple[str, ...]:
     """Columns of `env` that a course reads."""
     if course[0] == PRODUCT:
         return tuple(sorted({*columns_of(course[1]), *columns_of(course[2])}))
-    return {"late": (TEMPERATURE,), "wet": (RAIN,), "column": course[1:2], "above": course[1:2]}.get(course[0], ())
+    return {
+        "late": (TEMPERATURE,),
+        "wet": (RAIN,),
+        "column": course[1:2],
+        "over": course[1:2],
+        "under": course[1:2],
+    }.get(course[0], ())
 
 
 def axis_of(course: Form) -> str:
@@ -364,10 +405,10 @@ def axis_of(course: Form) -> str:
     name, *numbers = course
     if name == PRODUCT:
         return axis_of(numbers[0])
-    if name in ("column", "above"):
+    if name in ("column", "over", "under"):
         return str(numbers[0])
     periods = {SIDEREAL: "lst", SOLAR: "utc", WEEK: 7, ROTATION: 27.3, LUNATION: 29.53}
-    by_name = {"working days": 7, "late": TEMPERATURE, "wet": RAIN, "always": "lst", "sky": "lst"}
+    by_name = {"working days": 7, "weekend": 7, "late": TEMPERATURE, "wet": RAIN, "always": "lst", "sky": "lst"}
     by_name |= dict.fromkeys(("hours", "day", "night", "sun"), "utc")
     found = periods.get(numbers[0], "date") if name in ("wave", "near") else by_name.get(name, "date")
     return found if isinstance(found, str) else f"date, period {found:g} d"
@@ -393,9 +434,10 @@ def finer(kinds: Mapping[str, Kind], form: Form, conditions: Conditions) -> list
         _, one, other = form
         first, second = finer(kinds, one, conditions), finer(kinds, other, conditions)
         return [*((PRODUCT, same, other) for same in first), *((PRODUCT, one, same) for same in second[1:])]
-    if form[0] == "step":
-        return [form, *(("step", _instant(at)) for at in conditions.dates_about(_unix(form[1])))]
-    moved = []
+    moved: list[Form] = []
+    if form[0] in ("step", "between"):
+        moved += [(form[0], _instant(at), *form[2:]) for at in conditions.dates_about(_unix(form[1]))]
+    moved += [(*form[:2], level) for level in _levels(conditions, form)]
     for k, step in enumerate(kinds[form[0]].steps, start=1):
         for part in FINER if step else ():
             value = form[k] + part * step / (form[2] if form[0] == "wave" else 1.0)
@@ -407,7 +449,7 @@ def finer(kinds: Mapping[str, Kind], form: Form, conditions: Conditions) -> list
 def _is_sensible(form: Form, low_mhz: float, high_mhz: float) -> bool:
     if form[0] in ("below", "above"):
         return bool(low_mhz + 2 * EDGE_MHZ < form[1] < high_mhz - 2 * EDGE_MHZ)
-    positive = {"band": 2, "near": 3, "hours": 2, "ripple": 1}
+    positive = {"band": 2, "near": 3, "hours": 2, "ripple": 1, "between": 2}
     return form[:2] != ("power", 0.0) and (form[0] not in positive or form[positive[form[0]]] > 0)
 
 
@@ -415,7 +457,7 @@ def is_of_dates(course: Sequence[Any]) -> bool:
     """Whether a course is one of dates, which do not recur, or of the season: C changes within a window."""
     if course[0] == PRODUCT:
         return is_of_dates(course[1]) or is_of_dates(course[2])
-    return course[0] in ("step", "ramp") or (course[0] in ("wave", "near") and course[1] == YEAR)
+    return course[0] in ("step", "between", "ramp") or (course[0] in ("wave", "near") and course[1] == YEAR)
 
 
 # Places in the chain.
@@ -575,9 +617,16 @@ def _as_form(value: Sequence[Any]) -> Form:
     return tuple(_as_form(one) if isinstance(one, Sequence) and not isinstance(one, str) else one for one in value)
 
 
+_PAIRS = (("working days", "weekend"), ("day", "night"), ("over", "under"))
+COMPLEMENTS = {**dict(_PAIRS), **{other: one for one, other in _PAIRS}}
+"""Courses of which one is 1 where the other is 0."""
+
+
 def opposite(template: Template) -> Template | None:
-    """The sentence whose course has the other sign; None where no form has."""
+    """The sentence whose course has the other sign, up to a constant; None where no form has."""
     place, law, course = parts_of(template)
+    if course[0] in COMPLEMENTS:
+        return sentence(place, law, (COMPLEMENTS[course[0]], *course[1:]))
     if course[0] != "wave":
         return None
     _, clock, number, highest = course

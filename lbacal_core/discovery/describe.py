@@ -52,15 +52,15 @@ ROUGH: Sequence[Form] = (
     ("power", -2.0, 30.0),
     ("power", 2.0, 80.0),
     ("below", 40.0),
-    ("band", 50.0, 12.0),
-    ("band", 60.0, 12.0),
+    ("band", 50.0, 12.0, 2),
+    ("band", 60.0, 12.0, 2),
     ("resonance",),
     ("filter",),
 )
 """Laws with which all courses are tried first."""
 NOTICED_AT: Sequence[str] = ("sky", "antenna", "front", "receiver", "converter")
 NOTICED_BY: Sequence[Form] = (
-    ("flat",), ("power", -2.0, 30.0), ("power", 2.0, 80.0), ("below", 40.0), ("band", 60.0, 12.0)
+    ("flat",), ("power", -2.0, 30.0), ("power", 2.0, 80.0), ("below", 40.0), ("band", 60.0, 12.0, 2)
 )  # fmt: skip
 """Places and laws by which sentences are noticed: a second of one core for 12 antennas and 900 events."""
 LIKELY, KEPT, FITTED = 12, 6, 4
@@ -217,7 +217,7 @@ class _Scored:
 def _names(course: Form) -> tuple[str, ...]:
     if course[0] == PRODUCT:
         return (*_names(course[1]), *_names(course[2]))
-    return (course[0], str(course[1])) if course[0] in ("wave", "near", "column", "above") else (course[0],)
+    return (course[0], str(course[1])) if course[0] in ("wave", "near", "column", "over", "under") else (course[0],)
 
 
 def _search(model: LinearModel, shown: Sequence[Target], policy: Policy) -> list[_Scored]:
@@ -300,7 +300,7 @@ def _best_of_families(scored: Sequence[_Scored]) -> list[_Scored]:
 def _refine(model: LinearModel, one: _Scored, policy: Policy) -> _Scored:
     """The same with the best numbers of law and course, of which one is moved at a time, and with a positive size."""
     conditions = model.station.conditions
-    for _ in range(2):
+    for _ in range(3):
         template = refine(model, Score(SENTENCE, one.template, one.target, one.z, one.size, 0), policy).template
         turned = opposite(template) if one.size < 0.0 else None
         template = turned or template

@@ -113,7 +113,7 @@ def test_an_unknown_column_counts_as_nothing(conditions):
     warm = conditions.covariates["temperature_c"].copy()
     warm[:7] = np.nan
     gaps = conditions.with_covariates(temperature_c=warm)
-    for course in [("column", "temperature_c", 1, 9.0, 5.0), ("above", "temperature_c", 5.0), ("late", 0.0)]:
+    for course in [("column", "temperature_c", 1, 9.0, 5.0), ("over", "temperature_c", 5.0), ("late", 0.0)]:
         assert np.all(course_of(gaps, course)[:7] == 0.0)
         assert columns_of(course) == ("temperature_c",)
         template = sentence("front", ("flat",), (PRODUCT, course, ("day",)))
@@ -139,7 +139,11 @@ def test_a_sentence_and_its_opposite_say_the_same_with_the_other_sign(conditions
     np.testing.assert_allclose(
         signature(SENTENCE, terms, conditions, template), -signature(SENTENCE, terms, conditions, turned), atol=1e-12
     )
-    assert opposite(sentence("front", ("flat",), ("day",))) is None
+    assert opposite(sentence("front", ("flat",), ("sun",))) is None
+    for course, other in (("day",), ("night",)), (("over", "temperature_c", 9.0), ("under", "temperature_c", 9.0)):
+        turned = opposite(sentence("front", ("flat",), course))
+        assert parts_of(turned)[2] == other
+        np.testing.assert_allclose(course_of(conditions, course) + course_of(conditions, other), 1.0)
 
 
 def test_words_are_those_of_a_colleague():
@@ -153,7 +157,7 @@ def test_words_are_those_of_a_colleague():
 
 
 def test_a_model_carries_a_sentence_as_text_and_back(conditions, terms):
-    template = sentence("front", ("band", 58.0, 5.0), (PRODUCT, ("step", "2014-07-01T12:34:56Z"), ("night",)))
+    template = sentence("front", ("band", 58.0, 5.0, 4), (PRODUCT, ("step", "2014-07-01T12:34:56Z"), ("night",)))
     adopted = AdoptedCause("sentence", "CS002", "station", 0.02, 0.001, template.parameters)
     model = Model.from_text(Model((adopted,)).to_text())
     assert model.id == Model((adopted,)).id

@@ -99,7 +99,7 @@ def test_a_cause_that_an_installation_named_is_found_by_its_name(spoil, clean, s
 
 
 def test_a_cause_of_a_column_waits_for_data_that_have_it(station):
-    windy = NamedSentence.of("windy", {"place": "front", "law": ["flat"], "course": ["above", "wind_m_s", 9.0]})
+    windy = NamedSentence.of("windy", {"place": "front", "law": ["flat"], "course": ["over", "wind_m_s", 9.0]})
     assert windy.templates(station.conditions) == []
     speed = np.linspace(0.0, 20.0, station.conditions.time_unix.size)
     assert len(windy.templates(station.conditions.with_covariates(wind_m_s=speed))) == 1
