@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import make_smoothing_spline
+import scipy
 
 from lbacal_core.antenna.lofar import ResonanceCircuit
 from lbacal_core.causes.cause import RAIN, TEMPERATURE, Cause, Conditions, SizeRange, Template, read_between
@@ -188,7 +188,7 @@ def fitted_log_gain(terms: ChainTerms, conditions: Conditions) -> Floats:
     """
     of_table = np.log(conditions.antenna_gain)
     own = log_gain(terms, conditions) - of_table
-    smooth = make_smoothing_spline(conditions.frequency_mhz, own, lam=STIFFNESS)
+    smooth = scipy.interpolate.make_smoothing_spline(conditions.frequency_mhz, own, lam=STIFFNESS)
     return np.asarray(smooth(conditions.frequency_mhz) + of_table)
 
 
