@@ -97,9 +97,14 @@ def minus_log_likelihood(covariance: Floats, values: Floats) -> float:
 
     Covariances, shape (series, k, k), must have no direction without variance: what is not there has no likelihood.
     """
-    pivots = np.diagonal(np.linalg.cholesky(covariance), axis1=-2, axis2=-1)
-    chi2 = np.sum(values * np.linalg.solve(covariance, values[..., None])[..., 0])
-    return float(chi2 + 2.0 * np.sum(np.log(pivots)))
+    series, size = values.shape
+    bordered = np.empty((series, size + 1, size + 1))
+    bordered[:, :size, :size] = covariance
+    bordered[:, size, :size] = values  # becomes the whitened values below the factor: half the work of solving
+    bordered[:, size, size] = np.finfo(float).max  # whatever chi^2 is, the last pivot is real
+    factor = np.linalg.cholesky(bordered)
+    pivots = np.diagonal(factor[:, :size, :size], axis1=-2, axis2=-1)
+    return float(np.sum(factor[:, size, :size] ** 2) + 2.0 * np.sum(np.log(pivots)))
 
 
 def pseudo_invert(design: Floats, share: float = SHARE) -> Floats:
