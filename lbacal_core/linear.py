@@ -9,6 +9,8 @@ of unit length and singular values. Matrices have leading axes, any number of th
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -48,17 +50,29 @@ def solve_symmetric(matrix: Floats, target: Floats, share: float = SHARE, prior:
     -------
     Shape (..., k, column).
     """
+    return make_solver(matrix, share, prior)(target)
+
+
+def make_solver(matrix: Floats, share: float = SHARE, prior: float = 0.0) -> Callable[[Floats], Floats]:
+    """`solve_symmetric` for several targets, which looks at the matrices once."""
     scaled, unit = _regularise(matrix)
     if prior:
         np.einsum("...ii->...i", scaled)[...] += prior
-    scaled_target = unit[..., None] * target
     is_near = ~_is_far(scaled, share)
-    if not np.any(is_near):
-        return np.asarray(unit[..., None] * np.linalg.solve(scaled, scaled_target))
-    solution = np.linalg.solve(np.where(is_near[..., None, None], np.eye(matrix.shape[-1]), scaled), scaled_target)
-    root = _root_of_inverse(scaled[is_near], share)
-    solution[is_near] = root @ (np.swapaxes(root, -1, -2) @ np.broadcast_to(scaled_target, solution.shape)[is_near])
-    return np.asarray(unit[..., None] * solution)
+    far, root = scaled, None
+    if np.any(is_near):
+        far = np.where(is_near[..., None, None], np.eye(matrix.shape[-1]), scaled)
+        root = _root_of_inverse(scaled[is_near], share)
+
+    def solve(target: Floats) -> Floats:
+        scaled_target = unit[..., None] * target
+        solution = np.linalg.solve(far, scaled_target)
+        if root is not None:
+            own = np.broadcast_to(scaled_target, solution.shape)[is_near]
+            solution[is_near] = root @ (np.swapaxes(root, -1, -2) @ own)
+        return np.asarray(unit[..., None] * solution)
+
+    return solve
 
 
 def invert_symmetric(matrix: Floats, share: float = SHARE) -> Floats:
