@@ -30,7 +30,7 @@ def scale_to_unit_diagonal(matrix: Floats) -> tuple[Floats, Floats]:
 
     A parameter with 0 on the diagonal has the unit 0, and a row of zeros.
     """
-    diagonal = np.diagonal(matrix, axis1=-2, axis2=-1)
+    diagonal = matrix.diagonal(axis1=-2, axis2=-1)
     unit = np.where(diagonal > 0.0, diagonal, np.inf) ** -0.5
     return matrix * unit[..., :, None] * unit[..., None, :], unit
 
@@ -60,7 +60,7 @@ def make_solver(matrix: Floats, share: float = SHARE, prior: float = 0.0) -> Cal
         np.einsum("...ii->...i", scaled)[...] += prior
     is_near = ~_is_far(scaled, share)
     far, root = scaled, None
-    if np.any(is_near):
+    if is_near.any():
         far = np.where(is_near[..., None, None], np.eye(matrix.shape[-1]), scaled)
         root = _root_of_inverse(scaled[is_near], share)
 
@@ -136,21 +136,20 @@ def fit_least_squares(design: Floats, values: Floats, share: float = SHARE) -> F
 def _regularise(matrix: Floats) -> tuple[Floats, Floats]:
     """As `scale_to_unit_diagonal`, with 1 on the diagonal also for a parameter that is not there: its unit is 0."""
     scaled, unit = scale_to_unit_diagonal(matrix)
-    if not np.all(unit):
+    if not unit.all():
         np.einsum("...ii->...i", scaled)[unit == 0.0] = 1.0
     return scaled, unit
 
 
 def _is_far(scaled: Floats, share: float) -> NDArray[np.bool_]:
     """Whether no eigenvalue of unit-diagonal matrices is near the share, shape (...)."""
-    lifted = scaled.copy()
     # a hundredth of what is looked for keeps one singular matrix from stopping all others
-    np.einsum("...ii->...i", lifted)[...] += FAR / 100.0 * share
+    lifted = FAR / 100.0 * share * np.eye(scaled.shape[-1])
     try:
-        factor = np.linalg.cholesky(lifted)
+        factor = np.linalg.cholesky(scaled + lifted)
     except np.linalg.LinAlgError:  # NaN, or negative beyond rounding: eigenvalues say where
         return np.zeros(scaled.shape[:-2], dtype=bool)
-    return np.asarray(np.all(np.diagonal(factor, axis1=-2, axis2=-1) ** 2 > FAR * share, axis=-1))
+    return np.asarray((factor.diagonal(axis1=-2, axis2=-1) ** 2 > FAR * share).all(axis=-1))
 
 
 def _root_of_inverse(scaled: Floats, share: float) -> Floats:
