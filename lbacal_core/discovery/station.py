@@ -102,7 +102,7 @@ class Station:
 
     @cached_property
     def _inverses(self) -> Remembered[bytes, Floats]:
-        """Of the profiles in the ordinary events, which a fit hardly changes from round to round."""
+        """Inverses of the profiles in the ordinary events, which hardly change from round to round of a fit."""
         return Remembered(4)
 
     def on_events(self, is_known: NDArray[np.bool_]) -> Station:
