@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.constants import speed_of_light
 
-from lbacal_core.antenna.unfolding import IMPEDANCE_OF_FREE_SPACE as Z_0
 from lbacal_core.antenna.unfolding import effective_area
+from lbacal_core.data.constants import IMPEDANCE_OF_FREE_SPACE as Z_0
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_same_grid
 from lbacal_core.instrument.matching import RESISTANCE_OHM

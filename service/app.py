@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+from functools import cache
 from importlib.metadata import version
 
-from fastapi import Depends, FastAPI
+from fastapi import APIRouter, Depends, FastAPI
 from fastapi_offline import FastAPIOffline
 from prometheus_client import CollectorRegistry
 from starlette.middleware.gzip import GZipMiddleware
+from starlette.routing import BaseRoute
 
 from service.factory import Factory
 from service.handlers import (
@@ -41,13 +43,26 @@ def make_app(factory: Factory) -> FastAPI:
         version=version("lbacal"),
         summary="Absolute calibration of radio antennas with the Galaxy: store spectra, ask what is in effect.",
         redoc_url=None,
-        dependencies=[Depends(require_acceptable), Depends(require_known_query)],
     )
+    app.router.routes.extend(_list_routes())
     app.state.factory = factory
     app.state.wrong_keys = Buckets(BAD_KEYS_PER_S, BAD_KEYS_AT_ONCE)
     app.state.registry = CollectorRegistry()
     app.state.large_bodies = asyncio.Semaphore(1)
     app.state.large_reads = asyncio.Semaphore(LARGE_READS)
+    problems.install(app)
+    session.install(app)
+
+    app.add_middleware(GZipMiddleware, minimum_size=GZIP_FROM, compresslevel=1)
+    app.add_middleware(AnswersHead)
+    app.add_middleware(Edge, traffic=Traffic(app.state.registry), max_rate=factory.settings.max_rate)
+    return app
+
+
+@cache
+def _list_routes() -> list[BaseRoute]:
+    """The routes of all handlers, of which FastAPI makes what it needs once, at the first request of a process."""
+    every = APIRouter(dependencies=[Depends(require_acceptable), Depends(require_known_query)])
     for router in (
         spectra.router,
         calibrations.router,
@@ -66,11 +81,5 @@ def make_app(factory: Factory) -> FastAPI:
         session.router,
         acts.router,
     ):
-        app.include_router(router)
-    problems.install(app)
-    session.install(app)
-
-    app.add_middleware(GZipMiddleware, minimum_size=GZIP_FROM, compresslevel=1)
-    app.add_middleware(AnswersHead)
-    app.add_middleware(Edge, traffic=Traffic(app.state.registry), max_rate=factory.settings.max_rate)
-    return app
+        every.include_router(router)
+    return every.routes

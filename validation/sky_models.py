@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from lbacal_core.antenna.lofar import load_hamaker
+from lbacal_core.data.constants import IMPEDANCE_OF_FREE_SPACE
 from lbacal_core.data.tables import read_columns
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.instrument.matching import RESISTANCE_OHM
-from lbacal_core.instrument.power_unit import IMPEDANCE_OF_FREE_SPACE
 from lbacal_core.lstcurve.curve import (
     AS_RECORDED,
     LstCurve,

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.constants import epsilon_0, speed_of_light
 
 from lbacal_core.antenna.model import Complexes
+from lbacal_core.data.constants import SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.provenance import hash_content
@@ -72,7 +72,7 @@ class ShortDipole:
 
     def jones(self, frequency_mhz: Floats, zenith: Floats, azimuth_from_arm: Floats) -> tuple[Complexes, Complexes]:
         """Per unit length of the dipole."""
-        wavenumber = (2 * np.pi * 1e6 * frequency_mhz / speed_of_light).reshape((-1,) + (1,) * np.ndim(zenith))
+        wavenumber = (2 * np.pi * 1e6 * frequency_mhz / SPEED_OF_LIGHT).reshape((-1,) + (1,) * np.ndim(zenith))
         cosine = np.cos(zenith)
         phase, tilt = wavenumber * self.height_m * cosine, np.radians(self.tilt_deg)
         image = 2j * np.sin(phase) * (cosine > 0) * np.cos(tilt)
@@ -85,7 +85,7 @@ class ShortDipole:
         pi / sin^2(a) times the integral over u = cos(theta) in 0 ... 1 of (1 + u^2) sin^2(a u), a = k h, which is
         2/3 - sin(2a)/(2a) - cos(2a)/(4a^2) + sin(2a)/(8a^3) (our integration by parts).
         """
-        a = 2 * np.pi * 1e6 * frequency_mhz / speed_of_light * self.height_m
+        a = 2 * np.pi * 1e6 * frequency_mhz / SPEED_OF_LIGHT * self.height_m
         integral = 2 / 3 - np.sin(2 * a) / (2 * a) - np.cos(2 * a) / (4 * a**2) + np.sin(2 * a) / (8 * a**3)
         return np.asarray(np.pi * integral / np.sin(a) ** 2)
 
@@ -142,7 +142,7 @@ class InvertedV:
         """Effective length along theta and phi for a current of 1 at the feed, m."""
         zenith, azimuth = np.broadcast_arrays(np.asarray(zenith, dtype=float), azimuth_from_arm)
         cosine, sine = np.cos(zenith), np.sin(zenith)
-        wavenumber = (2e6 * np.pi / speed_of_light * frequency_mhz).reshape((-1,) + (1,) * zenith.ndim)
+        wavenumber = (2e6 * np.pi / SPEED_OF_LIGHT * frequency_mhz).reshape((-1,) + (1,) * zenith.ndim)
         across, along = sine * np.cos(azimuth), np.cos(azimuth)
         # Horizontal (along the arms) and vertical moment of the current as the direct and the reflected wave see it.
         direct = self._moments(wavenumber, across, cosine)
@@ -173,7 +173,7 @@ class InvertedV:
         """Reflection coefficients for the field in the plane of incidence and across it, shape (freq, ...)."""
         if np.isinf(self.conductivity):
             return np.ones((1,) * (1 + zenith.ndim), dtype=complex), -np.ones((1,) * (1 + zenith.ndim), dtype=complex)
-        loss = self.conductivity / (2e6 * np.pi * frequency_mhz * epsilon_0)
+        loss = self.conductivity / (2e6 * np.pi * frequency_mhz * VACUUM_PERMITTIVITY)
         soil = (self.permittivity - 1j * loss).reshape((-1,) + (1,) * zenith.ndim)
         cosine, inside = np.cos(zenith), np.sqrt(soil - np.sin(zenith) ** 2)
         return (soil * cosine - inside) / (soil * cosine + inside), (cosine - inside) / (cosine + inside)

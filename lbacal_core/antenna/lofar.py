@@ -7,9 +7,9 @@ from importlib.resources import files
 
 import numpy as np
 from numpy.polynomial.polynomial import polyval
-from scipy.constants import speed_of_light
 
 from lbacal_core.antenna.model import AntennaModel, Complexes
+from lbacal_core.data.constants import SPEED_OF_LIGHT
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.provenance import hash_arrays, hash_content
@@ -96,7 +96,7 @@ class ResonanceCircuit:
         """Load voltage per field up to a constant, shape (freq,)."""
         omega = 2 * np.pi * 1e6 * frequency_mhz
         load = 1.0 / (1.0 / self.lna_ohm + 1j * omega * self.lna_farad)
-        electrical_length = omega * self.arm_m / speed_of_light
+        electrical_length = omega * self.arm_m / SPEED_OF_LIGHT
         dipole = self.resistance_ohm * (frequency_mhz / 60.0) ** 2 - 1j * self.line_ohm / np.tan(electrical_length)
         return np.asarray((frequency_mhz / 60.0) ** (self.height_exponent / 2) * load / (dipole + load))
 

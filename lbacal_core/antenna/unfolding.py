@@ -12,16 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.constants import mu_0, speed_of_light
 
 from lbacal_core.antenna.model import AntennaModel, Complexes, zenith_gain
+from lbacal_core.data.constants import IMPEDANCE_OF_FREE_SPACE
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.linear import pseudo_invert
 
 # Effective height and area (the paper's appendix on antenna theory), on the scale of the G_ant of an instrument.
-
-IMPEDANCE_OF_FREE_SPACE = mu_0 * speed_of_light
 
 
 def effective_area(height_squared: Floats, resistance_ohm: float) -> Floats:

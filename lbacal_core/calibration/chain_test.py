@@ -23,8 +23,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import chdtrc
 
 from lbacal_core.calibration.lines import Lines, Look, PathLines, harmonics_at, look_beside, move_lines, move_lines_by
 from lbacal_core.curves.curves import CalibrationCurve
@@ -136,7 +136,7 @@ class ChainTest:
 
 def is_improbable(chi2: Floats, dof: Floats | NDArray[np.int64]) -> NDArray[np.bool_]:
     """Whether chi^2 is larger than chance makes it."""
-    return np.asarray((np.asarray(dof) > 0) & (chdtrc(dof, chi2) < MISFIT_PROBABILITY))
+    return np.asarray((np.asarray(dof) > 0) & (scipy.special.chdtrc(dof, chi2) < MISFIT_PROBABILITY))
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from lbacal_core.grids import Floats
 from lbacal_core.linear import find_whitener, solve_symmetric
@@ -72,7 +72,7 @@ class NoiseLevels:
 
 def slope_of_gain(frequency_mhz: Floats, antenna_gain: Floats) -> Floats:
     """Derivative of ln G_ant by frequency, shape (freq,), 1/MHz: the form of a resonance that moves."""
-    return np.asarray(CubicSpline(frequency_mhz, np.log(antenna_gain))(frequency_mhz, 1))
+    return np.asarray(scipy.interpolate.CubicSpline(frequency_mhz, np.log(antenna_gain))(frequency_mhz, 1))
 
 
 def estimate_noise_levels(

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.chain import Intercepts
-from lbacal_core.linear import invert_symmetric, scale_to_unit_diagonal, solve_symmetric
+from lbacal_core.linear import invert_symmetric, make_solver, scale_to_unit_diagonal, solve_symmetric
 
 MAX_ITERATIONS = 50
 STEP_TOLERANCE = 1e-5
@@ -178,23 +178,31 @@ class _Scaled:
         return _Scaled(**{name: values[at] for name, values in vars(self).items()})
 
     def before(self, n: Floats) -> Floats:
-        """What multiplies x, shape (problem, m)."""
-        return np.asarray(self.known + np.matmul(n[:, None], self.forms)[:, 0])
+        """What multiplies x, shape (..., problem, m)."""
+        return np.asarray(self.known + np.matmul(n[..., None, :], self.forms)[..., 0, :])
 
     def solve(self, prior: float) -> SeparableSolution:
         """The solution in unit columns, with so much prior information about each of (n, q) being 0."""
         problems, size = self.measured.shape[0], self.design.shape[1]
         n = self._start()
         is_converged = np.zeros(problems, dtype=bool)
-        for _ in range(MAX_ITERATIONS):
-            optimum = _solve_linear(self, n, prior)
-            step = solve_symmetric(optimum.curvature, optimum.gradient[:, :, None])[:, :, 0]
+        optimum = part = _solve_linear(self, n, prior)
+        moving, own = np.arange(problems), self
+        for done in range(MAX_ITERATIONS):
+            if done:
+                part = _solve_linear(own, n[moving], prior)
+                optimum.exchange(moving, part)
+            step = solve_symmetric(part.curvature, part.gradient[:, :, None])[:, :, 0]
             # the length of the step in standard deviations of n
-            length = np.einsum("pi,pij,pj->p", step, optimum.curvature, step)
-            is_converged |= length <= STEP_TOLERANCE**2
-            if np.all(is_converged):
+            length = np.einsum("pi,pij,pj->p", step, part.curvature, step)
+            is_there = length <= STEP_TOLERANCE**2
+            is_converged[moving] = is_there
+            if np.all(is_there):
                 break
-            n = np.where(is_converged[:, None], n, n + step)
+            if np.any(is_there):
+                moving, step = moving[~is_there], step[~is_there]
+                own = self.take(moving)
+            n[moving] += step
         is_converged &= np.isfinite(optimum.chi2)
         covariance, is_identifiable = _invert(_full_information(optimum, size), size)
         found = SeparableSolution(
@@ -223,11 +231,11 @@ class _Scaled:
         is_at_pole = self.before(n).mean(axis=1) < -abscissa / 2.0
         far = FARTHEST * optimum.curvature[:, 0] ** -0.5
         least = optimum.objective(n, prior)
-        grown = [_solve_linear(self, n + side * far, prior).objective(n + side * far, prior) for side in (-1.0, 1.0)]
+        tried = np.stack([n - far, n + far, *_same(PROBES, len(n))])
+        grown = _solve_linear(self, tried, prior).objective(tried, prior) - least
         low, high = PARABOLA
-        elsewhere = [_solve_linear(self, at_n, prior).objective(at_n, prior) for at_n in _same(PROBES, len(n))]
-        is_least = np.all(np.array(elsewhere) >= least, axis=0)
-        is_parabola = np.all([(low < one - least) & (one - least < high) for one in grown], axis=0)
+        is_least = np.all(grown[2:] >= 0.0, axis=0)
+        is_parabola = np.all((low < grown[:2]) & (grown[:2] < high), axis=0)
         return np.asarray(~is_converged | is_at_pole | ~is_parabola | ~is_least)
 
     def average(self, prior: float) -> SeparableSolution:
@@ -237,13 +245,12 @@ class _Scaled:
         """
         problems, size = len(self.measured), self.design.shape[1]
         at = _same(RANGE, problems)
-        optima = [_solve_linear(self, n, prior) for n in at]
-        pairs = list(zip(at, optima, strict=True))
-        grown = np.array([one.objective(n, max(prior, WIDEST**-2)) for n, one in pairs])
+        optima = _solve_linear(self, at, prior)
+        grown = optima.objective(at, max(prior, WIDEST**-2))
         grown -= grown.min(axis=0)
         weight = np.exp(-grown / 2.0) * np.gradient(RANGE)[:, None]
         weight /= weight.sum(axis=0)
-        values = np.array([np.insert(one.linear, size, n[:, 0], axis=1) for n, one in pairs])
+        values = np.insert(optima.linear, size, at[:, :, 0], axis=2)
         mean = np.einsum("gp,gpi->pi", weight, values)
         between = (values - mean) * np.sqrt(weight)[:, :, None]
         smallest = RANGE[np.argmax(grown < FARTHEST**2, axis=0)]
@@ -254,8 +261,8 @@ class _Scaled:
             n=mean[:, size : size + 1],
             q=mean[:, size + 1 :],
             covariance=within + np.einsum("gpi,gpj->pij", between, between),
-            chi2=np.min([one.chi2 for one in optima], axis=0),
-            is_converged=np.isfinite(grown).all(axis=0),
+            chi2=optima.chi2.min(axis=0),
+            is_converged=np.all(np.isfinite(grown), axis=0),
             is_identifiable=is_identifiable,
             is_merged=np.zeros((problems, 1 + self.design.shape[2]), dtype=bool),
         )
@@ -289,9 +296,9 @@ class _Scaled:
         )
 
 
-def _same(values: Floats, problems: int) -> list[Floats]:
-    """Each of some n for all problems, shape (problem, 1)."""
-    return [np.full((problems, 1), value) for value in values]
+def _same(values: Floats, problems: int) -> Floats:
+    """Each of some n for all problems, shape (n, problem, 1)."""
+    return np.repeat(values[:, None], problems, axis=1)[:, :, None]
 
 
 def _typical(values: Floats) -> Floats:
@@ -302,7 +309,10 @@ def _typical(values: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class _Optimum:
-    """The linear optimum at one n: (x, q), m of them x; chi^2, and gradient and curvature of -chi^2 / 2 along n."""
+    """The linear optimum at one n: (x, q), m of them x; chi^2, and gradient and curvature of -chi^2 / 2 along n.
+
+    All have the axes (..., problem) of n in front.
+    """
 
     linear: Floats
     chi2: Floats
@@ -314,9 +324,15 @@ class _Optimum:
     size: int
 
     def objective(self, n: Floats, prior: float) -> Floats:
-        """Chi^2 with the prior of (n, q), shape (problem,)."""
-        q = self.linear[:, self.size :]
-        return np.asarray(self.chi2 + prior * (np.sum(n**2, axis=1) + np.sum(q**2, axis=1)))
+        """Chi^2 with the prior of (n, q), shape (..., problem)."""
+        q = self.linear[..., self.size :]
+        return np.asarray(self.chi2 + prior * (np.sum(n**2, axis=-1) + np.sum(q**2, axis=-1)))
+
+    def exchange(self, at: NDArray[np.intp], part: _Optimum) -> None:
+        """Exchange the optima of some problems."""
+        for name, values in vars(part).items():
+            if name != "size":
+                getattr(self, name)[at] = values
 
     def at_fixed_n(self) -> _Optimum:
         """The optimum with n known far better than the data know it."""
@@ -324,41 +340,44 @@ class _Optimum:
 
 
 def _solve_linear(problem: _Scaled, n: Floats, prior: float) -> _Optimum:
+    """The linear optima at n, shape (..., problem, r)."""
     design, weight = problem.design, problem.weight
     size, constants = design.shape[1], design.shape[2]
     w_xx, w_xy = weight[:, :size, :size], weight[:, :size, size:]
     w_yx, w_yy = weight[:, size:, :size], weight[:, size:, size:]
     before = problem.before(n)
-    row, column = before[:, :, None], before[:, None, :]
+    row, column = before[..., :, None], before[..., None, :]
     # The derivative of the model by (x, q) is [[1, 0], [before, H]]; its normal matrix written out by blocks.
     w_yh = np.matmul(w_yy, design)
     side = np.matmul(w_xy, design) + row * w_yh
-    normal = np.empty((len(n), size + constants, size + constants))
-    normal[:, :size, :size] = w_xx + w_xy * column + row * (w_yx + w_yy * column)
-    normal[:, :size, size:] = side
-    normal[:, size:, :size] = side.transpose(0, 2, 1)
-    normal[:, size:, size:] = np.matmul(design.transpose(0, 2, 1), w_yh) + prior * np.eye(constants)
+    normal = np.empty((*n.shape[:-1], size + constants, size + constants))
+    normal[..., :size, :size] = w_xx + w_xy * column + row * (w_yx + w_yy * column)
+    normal[..., :size, size:] = side
+    normal[..., size:, :size] = np.swapaxes(side, -1, -2)
+    normal[..., size:, size:] = np.matmul(np.swapaxes(design, -1, -2), w_yh) + prior * np.eye(constants)
+    solve = make_solver(normal)
     weighted = np.matmul(weight, problem.measured[:, :, None])
-    linear = solve_symmetric(normal, _project(weighted, row, design))[:, :, 0]
+    linear = solve(_project(weighted, row, design))[..., 0]
 
-    x, q = linear[:, :size], linear[:, size:]
-    model = np.concatenate([x, before * x + np.matmul(design, q[:, :, None])[:, :, 0]], axis=1)
+    x, q = linear[..., :size], linear[..., size:]
+    model = np.concatenate([x, before * x + np.matmul(design, q[..., None])[..., 0]], axis=-1)
     residual = problem.measured - model
-    weighted_residual = np.matmul(weight, residual[:, :, None])[:, :, 0]
+    weighted_residual = np.matmul(weight, residual[..., None])[..., 0]
     # The derivative of the model by n is (0, F x).
-    terms = problem.forms * x[:, None, :]
-    along = np.matmul(weight[:, :, size:], terms.transpose(0, 2, 1))
+    terms = problem.forms * x[..., None, :]
+    along = np.matmul(weight[:, :, size:], np.swapaxes(terms, -1, -2))
     border = _project(along, row, design)
     known = problem.precision * (n - problem.mean)
-    own = np.matmul(terms, along[:, size:]) + np.einsum("pr,rs->prs", problem.precision + prior, np.eye(n.shape[1]))
-    absorbed = np.matmul(border.transpose(0, 2, 1), solve_symmetric(normal, border))
-    curvature = own - absorbed
-    at = np.arange(n.shape[1])
-    curvature[:, at, at] = np.maximum(curvature[:, at, at], 1e-15 * own[:, at, at])
+    own = np.matmul(terms, along[..., size:, :]) + np.einsum(
+        "pr,rs->prs", problem.precision + prior, np.eye(n.shape[-1])
+    )
+    curvature = own - np.matmul(np.swapaxes(border, -1, -2), solve(border))
+    at = np.arange(n.shape[-1])
+    curvature[..., at, at] = np.maximum(curvature[..., at, at], 1e-15 * own[..., at, at])
     return _Optimum(
         linear=linear,
-        chi2=np.einsum("pi,pi->p", residual, weighted_residual) + np.sum(known * (n - problem.mean), axis=1),
-        gradient=np.matmul(terms, weighted_residual[:, size:, None])[:, :, 0] - prior * n - known,
+        chi2=np.einsum("...i,...i->...", residual, weighted_residual) + np.sum(known * (n - problem.mean), axis=-1),
+        gradient=np.matmul(terms, weighted_residual[..., size:, None])[..., 0] - prior * n - known,
         curvature=curvature,
         normal=normal,
         border=border,
@@ -370,8 +389,10 @@ def _solve_linear(problem: _Scaled, n: Floats, prior: float) -> _Optimum:
 def _project(weighted: Floats, row: Floats, design: Floats) -> Floats:
     """The transposed derivative by (x, q) times weighted vectors."""
     size = design.shape[1]
-    on_y = weighted[:, size:]
-    return np.concatenate([weighted[:, :size] + row * on_y, np.matmul(design.transpose(0, 2, 1), on_y)], axis=1)
+    on_y = weighted[..., size:, :]
+    on_x = weighted[..., :size, :] + row * on_y
+    on_q = np.matmul(np.swapaxes(design, -1, -2), on_y)
+    return np.concatenate([on_x, np.broadcast_to(on_q, (*on_x.shape[:-2], *on_q.shape[-2:]))], axis=-2)
 
 
 def _full_information(optimum: _Optimum, size: int) -> Floats:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import make_smoothing_spline
+import scipy
 
 from lbacal_core.antenna.lofar import ResonanceCircuit
 from lbacal_core.causes.cause import RAIN, TEMPERATURE, Cause, Conditions, SizeRange, Template, read_between
@@ -188,8 +189,15 @@ def fitted_log_gain(terms: ChainTerms, conditions: Conditions) -> Floats:
     """
     of_table = np.log(conditions.antenna_gain)
     own = log_gain(terms, conditions) - of_table
-    smooth = make_smoothing_spline(conditions.frequency_mhz, own, lam=STIFFNESS)
-    return np.asarray(smooth(conditions.frequency_mhz) + of_table)
+    return np.asarray(smoother(tuple(conditions.frequency_mhz.tolist())) @ own + of_table)
+
+
+@lru_cache(maxsize=8)
+def smoother(frequency_mhz: tuple[float, ...]) -> Floats:
+    """The smoothing spline of values in channels is linear in these: its matrix, shape (freq, freq)."""
+    channels, each = np.array(frequency_mhz), np.eye(len(frequency_mhz))
+    splines = [scipy.interpolate.make_smoothing_spline(channels, one, lam=STIFFNESS) for one in each]
+    return np.stack([spline(channels) for spline in splines], axis=1)
 
 
 def _half_power_mhz(circuit: ResonanceCircuit) -> tuple[float, float]:

@@ -13,8 +13,8 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.chain import ChainTerms, Intercepts, three_constants
@@ -247,7 +247,7 @@ def read_between(frequency_mhz: Floats, values: Floats, moved_mhz: Floats) -> Fl
     moved_mhz
         Any shape.
     """
-    spline = CubicSpline(frequency_mhz, values, bc_type="natural")
+    spline = scipy.interpolate.CubicSpline(frequency_mhz, values, bc_type="natural")
     inside = np.clip(moved_mhz, frequency_mhz[0], frequency_mhz[-1])
     slopes = spline(frequency_mhz[[0, -1]], 1)
     beyond = np.where(moved_mhz < frequency_mhz[0], slopes[0], slopes[1]) * (moved_mhz - inside)

@@ -268,9 +268,9 @@ def estimate_levels(
     class_share = members.share_of_class(station)
     seeds = members.seeds[:, : max(1, channels // CHANNELS_PER_VECTOR)]
     seen = np.tensordot(class_share, seeds, axes=1)
-    structure, is_ordinary = station.profiles_of_axes, _is_ordinary(mean, seen)
-    free_events = max(events - 2 - structure.shape[1], 1)
-    whole, clean = mean, _clean(mean, structure, is_ordinary)
+    is_ordinary = _is_ordinary(mean, seen)
+    free_events = max(events - 2 - station.profiles_of_axes.shape[1], 1)
+    whole, clean = mean, station.without_axes(mean, is_ordinary)
     kinds = list_kinds(station, clean.sum(axis=0) @ orthonormal(seen)[:MOST_VECTORS].T)
     mean = kinds.beside_rain(clean)
     vectors = _choose_vectors(mean, seen, kinds.members, free_events / events)
@@ -289,7 +289,7 @@ def estimate_levels(
         dof = np.maximum(station.is_present.sum(axis=1) - 2, 1) * share
         rest = np.einsum("pef,pef->p", deviation, deviation) - np.einsum("pek,pek->p", amount, amount)
         own_channel = max(float(np.sqrt(np.median((rest / (dof * outside))[members.in_mean]))), SMALLEST_LEVEL)
-        amount = kinds.beside_rain(_clean(amount, structure, is_ordinary))
+        amount = kinds.beside_rain(station.without_axes(amount, is_ordinary))
         shared = _path_levels(station, amount, kinds, members, used, own_channel)
     common_channel = np.sqrt(np.maximum(of_mean - own_channel**2 * members.spread.mean(axis=1), 0.0))
     # The variance of the mean beyond the variance of a mean of independent paths.
@@ -314,7 +314,7 @@ def estimate_levels(
         gains = np.matmul(told[:, None], solve_symmetric(of_sum + noise, of_sum)[kinds.of_event])[:, 0] @ vectors
         left = _left_in_classes(station, gains, seeds, members)
         rest = (left @ vectors.T)[station.class_of] * np.any(deviation != 0.0, axis=-1)[..., None]
-        amount = kinds.beside_rain(_clean(deviation @ vectors.T - rest, structure, is_ordinary))
+        amount = kinds.beside_rain(station.without_axes(deviation @ vectors.T - rest, is_ordinary))
         shared = _path_levels(station, amount, kinds, members, used, own_channel)
     levels = NoiseLevels(
         vectors, kinds.of_event, own_channel, shared, class_share, members.scale, common_channel, of_sum, of_difference
@@ -390,21 +390,13 @@ def _scatter(amount: Floats) -> Floats:
 
 def clean_mean(station: Station, mean: Floats, seeds: Floats) -> Floats:
     """The means, shape (polarisation, event, freq), less what follows any axis of the data."""
-    return _clean(mean, station.profiles_of_axes, _is_ordinary(mean, seeds))
+    return station.without_axes(mean, _is_ordinary(mean, seeds))
 
 
 def _is_ordinary(mean: Floats, seeds: Floats) -> NDArray[np.bool_]:
     """Which events are not far outside the noise along the seeds, shape (event,)."""
     known = orthonormal(seeds)
     return ~is_heavy(mean.sum(axis=0) @ known[np.any(known != 0, axis=1)].T)
-
-
-def _clean(values: Floats, structure: Floats, is_ordinary: NDArray[np.bool_]) -> Floats:
-    """Values, shape (..., event, any), less what follows profiles in time in the ordinary events.
-
-    A burst in one event would otherwise leave a part of itself in all that its profiles join with it.
-    """
-    return np.asarray(values - structure @ fit_least_squares(structure[is_ordinary], values[..., is_ordinary, :]))
 
 
 def _choose_vectors(mean: Floats, seeds: Floats, kinds: Sequence[NDArray[np.int64]], share_free: float) -> Floats:

@@ -431,25 +431,28 @@ class LinearModel:
         return np.asarray(is_member * np.where(in_mean, 1.0, 1.0 - of_mean[polarisation]))
 
     def parts(self, templates: Sequence[Floats], targets: Sequence[Target]) -> Iterator[Part]:
-        """Templates of shape (class, event, freq), each with its target, as every view sees them."""
-        means = np.stack([self.mean_of(t, target.is_member) for t, target in zip(templates, targets, strict=True)])
-        whole = np.ones((len(means), 1))
+        """Templates of shape (..., class, event, freq), each with its target, as every view sees them."""
+        changes = [self.mean_of(t, target.is_member) for t, target in zip(templates, targets, strict=True)]
+        means = np.stack(changes, axis=-4)
+        whole = np.ones((len(changes), 1))
         yield Part(self.common, self.common.see(means), whole, 1.0)
         lost = whole * [[not self.shows_in_means_alone(target.is_member)] for target in targets]
         for d, (view, count) in enumerate(zip(self.lost, self.paths_in_mean, strict=True)):
-            yield Part(view, view.see(means[:, d : d + 1]), lost, -float(count))
+            yield Part(view, view.see(means[..., d : d + 1, :, :]), lost, -float(count))
         share = np.stack([self.share_of_deviation(target.is_member) for target in targets])
         for c, (view, members) in enumerate(zip(self.paths, self.members, strict=True)):
             if np.any(share[:, members]):
-                own = np.stack([template[c] for template in templates])
-                yield Part(view, view.see(own[:, None]), share[:, members], 1.0)
+                own = np.stack([template[..., c, :, :] for template in templates], axis=-3)
+                yield Part(view, view.see(own[..., None, :, :]), share[:, members], 1.0)
 
     def products(self, templates: Sequence[Floats], targets: Sequence[Target]) -> tuple[Floats, Floats]:
-        """Scores, shape (k,), and information, shape (k, k), of k templates of shape (class, event, freq)."""
-        score, information = np.zeros(len(templates)), np.zeros((len(templates), len(templates)))
+        """Scores, shape (..., k), and information, (..., k, k), of k templates of shape (..., class, event, freq)."""
+        size, other = len(templates), templates[0].shape[:-3]
+        score, information = np.zeros((*other, size)), np.zeros((*other, size, size))
+        always = np.ones((1, self.station.power.shape[1]))
         for part in self.parts(templates, targets):
-            gram = part.view.gram(part.templates)
-            information += part.sign * np.einsum("km,jm,mkj->kj", part.share, part.share, gram)
+            products = part.view.inner(part.templates, always)[0][..., 0]
+            information += part.sign * np.einsum("km,jm,...kjm->...kj", part.share, part.share, products)
             if part.sign > 0:
                 score += np.sum(part.share * part.view.score_by_event(part.templates).sum(axis=-1), axis=-1)
         return score, information

@@ -298,6 +298,8 @@ HARDLY_KNOWN = 0.5
 """Relative error of a constant from which only its order of magnitude is known: its distribution is that of |N(0, s)|,
 as the weak prior of the fit is."""
 DRAWS, SEED = 64, 0
+DRAWS_AT_ONCE = 8
+"""Draws whose templates are weighed together: eight share what a call costs, and more take more memory for nothing."""
 ENOUGH, NARROWER, MOST_ROUNDS = 12.0, 0.3, 5
 """Draws that must count: with fewer, an effect that itself says how noise is shared is looked at more closely, so much
 at a time."""
@@ -432,16 +434,19 @@ def _fit_sizes(model: FittedModel, one: Hypothesis, drawn: Sequence[Noise]) -> t
     targets = [h.target for h in there]
     fitted = _log_ratio(there, fitted_terms, model)
     size, gain = np.zeros(len(drawn)), np.full(len(drawn), -np.inf)  # no more noise of a stage that has none
-    for k, (n, q) in enumerate(drawn):
-        terms = with_noise(model.station, fitted_terms, (n, q))
-        templates = [signature(h.cause, terms, conditions, h.template, h.size) for h in there]
-        missed = fitted - _log_ratio(there, terms, model)
-        score, information = model.linear.products([*templates, missed], [*targets, one.target])
-        if can_be_told_apart(information[:-1, :-1]):
-            inverse = invert_symmetric(information[:-1, :-1])
-            onto = score[:-1] + information[:-1, -1]
-            size[k] = one.size + inverse[0] @ onto
-            gain[k] = 0.5 * (onto @ inverse @ onto - information[-1, -1]) - score[-1]
+    for start in range(0, len(drawn), DRAWS_AT_ONCE):
+        chains = [with_noise(model.station, fitted_terms, noise) for noise in drawn[start : start + DRAWS_AT_ONCE]]
+        templates = [
+            np.stack([signature(h.cause, terms, conditions, h.template, h.size) for terms in chains]) for h in there
+        ]
+        missed = fitted - np.stack([_log_ratio(there, terms, model) for terms in chains])
+        products = zip(*model.linear.products([*templates, missed], [*targets, one.target]), strict=True)
+        for k, (score, information) in enumerate(products, start):
+            if can_be_told_apart(information[:-1, :-1]):
+                inverse = invert_symmetric(information[:-1, :-1])
+                onto = score[:-1] + information[:-1, -1]
+                size[k] = one.size + inverse[0] @ onto
+                gain[k] = 0.5 * (onto @ inverse @ onto - information[-1, -1]) - score[-1]
     return size, gain
 
 

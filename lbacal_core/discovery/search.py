@@ -92,11 +92,6 @@ class StationReport:
     description: Description = field(default_factory=Description)
     catalogue: Sequence[Cause] = CAUSES
 
-    def alpha_of(self, score: Score | AntennaScore) -> float:
-        """p-value below which a score is significant in this search."""
-        of_kind = self.policy.catalogue_alpha if isinstance(score, Score) else self.policy.alpha_of_each_comparison
-        return of_kind / self.stations
-
 
 def search_station(
     station: Station,

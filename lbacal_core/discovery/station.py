@@ -17,6 +17,8 @@ from lbacal_core.causes.sky import SkyRatio, sky_ratios
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.sidereal import local_sidereal_time, sun_position
+from lbacal_core.linear import pseudo_invert
+from lbacal_core.provenance import Remembered
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.differences import ModelDifferences, Waves, waves_at
 from lbacal_core.sky.sources import response_towards
@@ -88,6 +90,20 @@ class Station:
                 profiles.append(basis)
         found, sizes, _ = np.linalg.svd(np.concatenate(profiles).T, full_matrices=False)
         return np.asarray(found[:, sizes > SMALLEST_PROFILE * sizes[0]])
+
+    def without_axes(self, values: Floats, is_ordinary: NDArray[np.bool_]) -> Floats:
+        """Values, shape (..., event, any), less what follows these profiles in the ordinary events, shape (event,).
+
+        A burst in one event would otherwise leave a part of itself in all that its profiles join with it.
+        """
+        profiles = self.profiles_of_axes
+        onto = self._inverses.get(is_ordinary.tobytes(), lambda: pseudo_invert(profiles[is_ordinary]))
+        return np.asarray(values - profiles @ (onto @ values[..., is_ordinary, :]))
+
+    @cached_property
+    def _inverses(self) -> Remembered[bytes, Floats]:
+        """Inverses of the profiles in the ordinary events, which hardly change from round to round of a fit."""
+        return Remembered(4)
 
     def on_events(self, is_known: NDArray[np.bool_]) -> Station:
         """The station without the spectra of other events; the grid stays."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import chdtrc, chdtri, ndtri
 
 from lbacal_core.data.prior import read_prior
 from lbacal_core.drift.events import find_months
@@ -166,13 +166,13 @@ def chi_square(whitener: Floats, size: Floats, variance: Floats) -> Floats:
 
 def find_significance(chi2: Floats, modes: int) -> Floats:
     """Standard deviations of a normal with the same probability on both sides; a very large chi-square's root."""
-    p = chdtrc(modes, chi2)
-    return np.asarray(np.where(p > _SMALLEST_P, -ndtri(np.maximum(p, _SMALLEST_P) / 2.0), np.sqrt(chi2)))
+    p = scipy.special.chdtrc(modes, chi2)
+    return np.asarray(np.where(p > _SMALLEST_P, -scipy.special.ndtri(np.maximum(p, _SMALLEST_P) / 2.0), np.sqrt(chi2)))
 
 
 def find_threshold(false_alarms: float, trials: int, modes: int) -> float:
     """The chi-square that so many trials exceed by chance in `false_alarms` of all cases."""
-    return float(chdtri(modes, false_alarms / max(trials, 1)))
+    return float(scipy.special.chdtri(modes, false_alarms / max(trials, 1)))
 
 
 # The date of a step, from events: months only say between which of them to look.

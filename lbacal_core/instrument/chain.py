@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.constants import Boltzmann
 
+from lbacal_core.data.constants import BOLTZMANN
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
@@ -204,7 +204,7 @@ def constants_of_form(instrument: Instrument, names: Sequence[str]) -> Intercept
     )
 
 
-WATT_PER_MHZ = 1e6 * Boltzmann
+WATT_PER_MHZ = 1e6 * BOLTZMANN
 """Noise power of 1 K, W/MHz."""
 
 

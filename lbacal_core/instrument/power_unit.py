@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.constants import Boltzmann, mu_0, speed_of_light
 
+from lbacal_core.data.constants import BOLTZMANN, IMPEDANCE_OF_FREE_SPACE, SPEED_OF_LIGHT
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.matching import RESISTANCE_OHM
-
-IMPEDANCE_OF_FREE_SPACE = mu_0 * speed_of_light
 
 
 def power_per_kelvin_sr(frequency_mhz: Floats) -> Floats:
@@ -19,5 +17,5 @@ def power_per_kelvin_sr(frequency_mhz: Floats) -> Floats:
     hertz_per_mhz = 1e6
     nu = frequency_mhz * hertz_per_mhz
     return np.asarray(
-        Boltzmann * IMPEDANCE_OF_FREE_SPACE * nu**2 / (speed_of_light**2 * RESISTANCE_OHM) * hertz_per_mhz
+        BOLTZMANN * IMPEDANCE_OF_FREE_SPACE * nu**2 / (SPEED_OF_LIGHT**2 * RESISTANCE_OHM) * hertz_per_mhz
     )

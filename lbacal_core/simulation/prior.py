@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from scipy.constants import speed_of_light
 from threadpoolctl import threadpool_limits
 
 from lbacal_core.antenna.ideal import QuarterWaveDipole, ShortDipole
 from lbacal_core.antenna.model import AntennaModel
 from lbacal_core.antenna.names import load_antenna
+from lbacal_core.data.constants import SPEED_OF_LIGHT
 from lbacal_core.data.prior import read_prior
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
@@ -80,7 +80,7 @@ def exchange_antennas(
 
 def list_other_antennas(instrument: Instrument, power: Mapping[str, Floats], lst_hours: Floats) -> list[OtherAntenna]:
     """Dipoles over lossy ground and over a conducting plane, at heights between which data cannot tell."""
-    wavenumber = 2.0 * np.pi * 1e6 * float(instrument.frequency_mhz.max()) / speed_of_light
+    wavenumber = 2.0 * np.pi * 1e6 * float(instrument.frequency_mhz.max()) / SPEED_OF_LIGHT
     heights = (PHASES / wavenumber).tolist()
     kinds: list[dict[str, str | AntennaModel]] = [
         {"hamaker": "hamaker"},

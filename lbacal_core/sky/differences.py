@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from importlib.resources import files
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from lbacal_core.antenna.names import DEFAULT_ANTENNA, load_antenna
 from lbacal_core.antenna.varied import VariedAntenna
@@ -259,7 +259,9 @@ def _simulated_difference(frequency_mhz: Floats, lmax: int) -> Complexes:
     """Multipoles of D of the simulated LBA less those of the default antenna, shape (freq, l, m')."""
     table = json.loads((files("lbacal_core") / "data/antenna_difference.json").read_text())
     nodes, rows = np.array(table["frequency_mhz"]), np.array(table["multipoles"]["rows"])
-    weight = CubicSpline(nodes, np.array(table["weight"]))(np.clip(frequency_mhz, nodes[0], nodes[-1]))
+    weight = scipy.interpolate.CubicSpline(nodes, np.array(table["weight"]))(
+        np.clip(frequency_mhz, nodes[0], nodes[-1])
+    )
     difference = np.zeros((frequency_mhz.size, lmax + 1, lmax + 1), dtype=complex)
     difference[:, rows[:, 0].astype(int), rows[:, 1].astype(int)] = weight @ rows[:, 2:].T
     return difference

@@ -8,8 +8,8 @@ from functools import lru_cache
 
 import erfa
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_channels
@@ -186,8 +186,8 @@ class SkyModel:
                 f"{frequency_mhz[outside][0]:g} MHz",
             )
         nodes, x = np.log(self.frequency_mhz), np.log(frequency_mhz)
-        level = np.exp(CubicSpline(nodes, np.log(self.level))(x))
-        return np.asarray(level[:, None] * CubicSpline(nodes, self.weight)(x))
+        level = np.exp(scipy.interpolate.CubicSpline(nodes, np.log(self.level))(x))
+        return np.asarray(level[:, None] * scipy.interpolate.CubicSpline(nodes, self.weight)(x))
 
     def isotropic_k(self, frequency_mhz: Floats) -> Floats:
         """Isotropic brightness to be added to the maps, shape (freq,), K: the CMB unless it is inside.

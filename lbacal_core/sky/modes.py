@@ -15,7 +15,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from scipy.special import sph_harm_y
+import scipy
 
 from lbacal_core.antenna.model import AntennaModel, directional_response
 from lbacal_core.antenna.varied import raise_arm
@@ -49,7 +49,7 @@ def beam_multipoles(antenna: AntennaModel, frequency_mhz: Floats, lmax: int, til
 def _legendre(lmax: int, zenith: tuple[float, ...]) -> list[Floats]:
     """Spherical harmonics at azimuth 0, of each order that the azimuths resolve: shape (l, zenith), l >= order."""
     orders = range(min(lmax + 1, AZIMUTHS // 2))
-    return [sph_harm_y(np.arange(m, lmax + 1)[:, None], m, np.array(zenith), 0.0).real for m in orders]
+    return [scipy.special.sph_harm_y(np.arange(m, lmax + 1)[:, None], m, np.array(zenith), 0.0).real for m in orders]
 
 
 def beam_on_equator(beam: Complexes, arm_azimuth_deg: float, latitude_deg: float) -> Complexes:

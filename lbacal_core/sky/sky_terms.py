@@ -14,7 +14,7 @@ from importlib.resources import files
 from typing import Any
 
 import numpy as np
-from scipy.linalg import block_diag
+import scipy
 
 from lbacal_core.antenna.ideal import ShortDipole
 from lbacal_core.antenna.model import AntennaModel
@@ -169,7 +169,7 @@ def stack_anchors(anchors: Sequence[Anchor], base: SkyModel) -> tuple[Floats, Fl
         + one.channel_error**2 * np.eye(one.frequency_mhz.size)
         for one in anchors
     ]
-    stated = np.outer(error, error) * shared + block_diag(*blocks)
+    stated = np.outer(error, error) * shared + scipy.linalg.block_diag(*blocks)
     return ratio, design, stated, shared
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from functools import partial
 from operator import attrgetter
@@ -58,9 +59,10 @@ def get_in_effect(
     known = use.tags.read_knowledge(as_of, tag)
     found = use.calibrations.in_effect(instant, paths, known.as_of, hold=gap == "hold")
     wanted = [curve for curve in found.curves if dipole in (None, curve.dipole)]
+    written = write_json(use, found, wanted, known)
     return answer(
         request,
-        write_json(use, found, wanted, known) if kind == "json" else write_format(kind, describe(found, wanted, known)),
+        written if kind == "json" else write_format(kind, json.loads(written)),
         media_type=FORMATS[kind],
         cache=IMMUTABLE if known.is_final else REVALIDATE,
     )
@@ -147,12 +149,6 @@ def get_diff(request: Request, use: UseCases, first: InPath, second: InPath) -> 
     """
     a, b = use.calibrations.pair(first, second)
     return answer(request, describe_diff(a, b), cache=_keeping(first, second))
-
-
-def describe(found: InEffect, curves: Sequence[CurveInEffect], known: Knowledge) -> dict[str, Any]:
-    """What is in effect as JSON values."""
-    described = [_describe_curve(curve, curve.told) for curve in curves]
-    return answers.describe_in_effect(found.at, known.text, described, found.missing, found.budgets)
 
 
 def write_json(use: Factory, found: InEffect, curves: Sequence[CurveInEffect], known: Knowledge) -> bytes:

@@ -16,10 +16,9 @@ from lbacal.instants import format_instant, parse_instant
 from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.curves.validity import Instant, Promotion, Scope, timeline
 from lbacal_core.drift.model import SLOPE, smooth_columns
-from lbacal_core.errors import name_path, write_percent
+from lbacal_core.errors import write_percent
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import Remembered, hash_content
-from service.errors import NotFoundError
 from service.storage.database import Database, Stores
 from service.storage.drift import PathMonths, StoredYear
 from service.storage.versions import MeanC, Version
@@ -280,16 +279,6 @@ class Drift:
             slopes = (stores.drift.report() or {"slopes": []})["slopes"]
         of_station = [one for one in slopes if one["station"] == station and one["antenna"] is not None]
         return {Scope(station, one["antenna"], one["dipole"]): one for one in of_station}
-
-    def version_at(self, path: Scope, instant: Instant) -> str:
-        """The version of a path itself that answers at an instant; not found where there is none."""
-        with self.database.read() as stores:
-            decisive = stores.ledger.decisive([path], instant, None).get(path)
-        if decisive is None or decisive.calibration is None:
-            raise NotFoundError(
-                f"no version of {name_path(*path.parts)} is in effect at {format_instant(instant)[:10]}"
-            )
-        return decisive.calibration
 
     def series(self, scope: Scope) -> DriftSeries:
         """Versions in effect, months, steps and slope of a scope."""

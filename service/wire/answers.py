@@ -10,7 +10,6 @@ import numpy as np
 
 from lbacal.instants import format_instant, format_optional
 from lbacal_core.calibration.spreads import ToldCurve
-from lbacal_core.curves.covariance import name_budgets
 from lbacal_core.curves.curves import OK, UNCERTAIN, list_numbers
 from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.curves.validity import Instant, Promotion, Scope
@@ -108,29 +107,13 @@ def describe_reference(chain: ReferenceChain, cable: str | None) -> dict[str, An
     }
 
 
-def describe_in_effect(
-    at: Instant,
-    as_of: str | None,
-    curves: list[dict[str, Any]],
-    missing: Sequence[Scope],
-    budgets: Mapping[str, str],
-) -> dict[str, Any]:
-    """The answer to "in effect at"; `missing` names paths for which nothing is in effect.
-
-    `budgets` holds the JSON texts of those that curves may name.
-    """
-    return {
-        **_describe_question(at, as_of),
-        "curves": curves,
-        "budgets": {name: json.loads(budgets[name]) for name in name_budgets(curves) if name in budgets},
-        "missing": [describe_scope(path) for path in missing],
-    }
-
-
 def write_in_effect(
     at: Instant, as_of: str | None, curves: Iterable[bytes], missing: Sequence[Scope], budgets: Mapping[str, str]
 ) -> bytes:
-    """The same as JSON, from curves as texts; `budgets` are those that they name."""
+    """The answer to "in effect at" as JSON, from curves as texts; `missing` names paths for which nothing is in effect.
+
+    `budgets` holds the texts of those that the curves name.
+    """
     described = ",".join(f"{json.dumps(name)}:{budgets[name]}" for name in sorted(budgets)).encode()
     return b'%b,"curves":[%b],"budgets":{%b},"missing":%b}' % (
         to_json(_describe_question(at, as_of))[:-1],

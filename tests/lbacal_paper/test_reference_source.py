@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lbacal_core.antenna.unfolding import IMPEDANCE_OF_FREE_SPACE
+from lbacal_core.data.constants import IMPEDANCE_OF_FREE_SPACE
 from lbacal_core.errors import BadInputError
 from lbacal_paper.reference_source import (
     SCALED_M,

@@ -3,12 +3,14 @@ from __future__ import annotations
 import itertools
 import json
 import os
+import re
 import shutil
 import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -324,6 +326,52 @@ def make_service(database_url: str, sky_power_file: Path, clock: Clock) -> Itera
 def station(make_service: Callable[..., Factory], campaign: Spectra) -> Factory:
     """A service that holds the campaign."""
     return make_service(campaign, lease_s=5.0, cut_windows=False)
+
+
+@dataclass
+class Kept:
+    """A database that several tests begin with: where it was copied, and the instant then."""
+
+    url: str
+    now: int
+
+
+@pytest.fixture(scope="session")
+def kept() -> dict[tuple[str, str, str], Kept]:
+    """By what was done, the spectra and the kind of database."""
+    return {}
+
+
+@pytest.fixture
+def begin_with(
+    station: Factory, campaign: Spectra, clock: Clock, kept: dict[tuple[str, str, str], Kept],
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Callable[[str, Callable[[], object]], None]:  # fmt: skip
+    """Brings the database of the station into a state: what makes it is done once a kind, then the result is copied."""
+
+    def begin(name: str, make: Callable[[], object]) -> None:
+        own, kind = station.settings.database_url, station.database.engine.dialect.name
+        key = name, campaign.digest(), kind
+        if key in kept:
+            station.database.close()
+            copy_database(kept[key].url, own)
+            clock.now = kept[key].now
+            return
+        make()
+        folder, number = tmp_path_factory.mktemp("kept"), next(_names)
+        url = str(folder / "kept.sqlite") if kind == "sqlite" else re.sub("/test_", f"/kept_{number}_", own, count=1)
+        station.database.close()
+        copy_database(own, url)
+        kept[key] = Kept(url, clock.now)
+
+    return begin
+
+
+@pytest.fixture
+def after_night(station: Factory, begin_with: Callable[[str, Callable[[], object]], None]) -> Factory:
+    """The service of the campaign after its first night, whose versions are in effect; keys are made after it."""
+    begin_with("night", lambda: night(station))
+    return station
 
 
 @pytest.fixture

@@ -270,12 +270,11 @@ def test_a_refit_asked_for_twice_under_one_name_is_one_job(http: TestClient) -> 
 
 
 @pytest.mark.long
-def test_a_version_that_was_never_promoted_changes_no_drift(station: Factory, http: TestClient) -> None:
-    night(station)
+def test_a_version_that_was_never_promoted_changes_no_drift(after_night: Factory, http: TestClient) -> None:
     before = http.get("/v1/drift", params={"station": "CS002"}).json()["months"]
     refit(http, since="2013-12-31", until="2015-12-31", promote=False)
-    work(station)
-    night(station)
+    work(after_night)
+    night(after_night)
     assert http.get("/v1/drift", params={"station": "CS002"}).json()["months"] == before
 
 
@@ -297,19 +296,18 @@ def test_the_night_finds_every_year_station_and_antenna_once(station: Factory, h
 
 @pytest.mark.long
 def test_late_spectra_a_flag_and_another_sky_make_a_window_due_again(
-    station: Factory, http: TestClient, campaign: Spectra
+    after_night: Factory, http: TestClient, campaign: Spectra
 ) -> None:
-    night(station)
     name = http.get("/v1/events?limit=1").json()["events"][0]["event_id"]
     http.post(f"/v1/events/{name}/flag", json={"flag": "bad", "reason": "test"})
-    assert len(look_for_due_work(station)) == 4, "one year: array, station, antenna, and its drift"
+    assert len(look_for_due_work(after_night)) == 4, "one year: array, station, antenna, and its drift"
     late = campaign.select(campaign.event_id == campaign.event_id[0])
     last = late.time_unix + 86_400.0 * 400
     moved = Spectra(
         late.frequency_mhz, late.power, np.array([f"late{e}" for e in late.event_id]), last, late.station, late.antenna,
         late.dipole, late.blocks,
     )  # fmt: skip
-    add_spectra(station, moved)
-    assert len(look_for_due_work(station)) == 4
-    with like(station, instrument="lofar-superterp", sky_power=None) as other:
+    add_spectra(after_night, moved)
+    assert len(look_for_due_work(after_night)) == 4
+    with like(after_night, instrument="lofar-superterp", sky_power=None) as other:
         assert len(look_for_due_work(other)) == 8, "two years: array, station, antenna, drift"

@@ -8,7 +8,8 @@ from lbacal_core.antenna.ideal import ShortDipole
 from lbacal_core.antenna.lofar import load_hamaker
 from lbacal_core.antenna.model import directional_response
 from lbacal_core.antenna.names import take_antenna_gain
-from lbacal_core.antenna.unfolding import IMPEDANCE_OF_FREE_SPACE, effective_area, effective_heights
+from lbacal_core.antenna.unfolding import effective_area, effective_heights
+from lbacal_core.data.constants import IMPEDANCE_OF_FREE_SPACE
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import parse_instrument
 

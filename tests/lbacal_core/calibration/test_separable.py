@@ -46,6 +46,19 @@ def test_solution_and_covariance_equal_a_general_least_squares_solver():
     np.testing.assert_allclose(sigma, np.sqrt(np.diag(np.linalg.inv(expected.jac.T @ expected.jac))), rtol=1e-4)
 
 
+def test_problems_that_stand_still_wait_for_others_and_are_solved_as_if_alone():
+    """Bit by bit, the easy ones after few steps, and one whose line is far from its start after many."""
+    rng = np.random.default_rng(5)
+    problems = [problem(rng) for _ in range(4)]
+    x, y, information, _ = problems[1]
+    problems[1] = (x * (1 + 0.5 * rng.standard_normal(x.size)), y, information, problems[1][3])
+    together = solve_separable(*(np.stack(part) for part in list(zip(*problems, strict=True))[:3]), problems[0][3])
+    for k, (x, y, information, terms) in enumerate(problems):
+        alone = solve_separable(x[None], y[None], information[None], terms)
+        for name, values in vars(alone).items():
+            np.testing.assert_array_equal(getattr(together, name)[k], values[0], name)
+
+
 def test_units_do_not_matter():
     x, y, information, terms = problem(np.random.default_rng(2))
     plain = solve_separable(x[None], y[None], information[None], terms)

@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, make_smoothing_spline
 
 from lbacal_core.antenna.lofar import ResonanceCircuit
-from lbacal_core.causes.antenna import fitted_log_gain
+from lbacal_core.causes.antenna import STIFFNESS, fitted_log_gain, smoother
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import Conditions, Template
 from lbacal_core.causes.sky import sky_ratios
@@ -118,6 +118,12 @@ LAWS: list[tuple[str, dict, float, Law]] = [
         ),
     ),
 ]  # fmt: skip
+
+
+def test_ln_a_is_smoothed_by_the_spline_of_its_own_values():
+    channels, values = np.arange(30.0, 81.0), np.random.default_rng(1).normal(size=51)
+    expected = make_smoothing_spline(channels, values, lam=STIFFNESS)(channels)
+    np.testing.assert_allclose(smoother(tuple(channels)) @ values, expected, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize(("name", "law", "size", "expected"), LAWS, ids=[one[0] for one in LAWS])

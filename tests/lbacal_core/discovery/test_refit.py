@@ -219,6 +219,17 @@ def test_no_drawn_noise_is_negative_and_what_is_hardly_known_has_its_order_of_ma
     assert np.quantile(front, 0.2) == pytest.approx(0.253 * np.sqrt(2) * noise.front[0], rel=0.1)
 
 
+def test_templates_of_several_draws_are_weighed_as_those_of_each_alone(fitted, world):
+    rng, shape = np.random.default_rng(3), fitted.baseline.terms.power().shape
+    templates = [rng.normal(size=(3, *shape)) for _ in range(2)]
+    targets = [fitted.hypotheses[0].target, world.look().target("station")]
+    score, information = fitted.linear.products(templates, targets)
+    for k in range(3):
+        alone = fitted.linear.products([one[k] for one in templates], targets)
+        np.testing.assert_allclose(score[k], alone[0], rtol=1e-9)
+        np.testing.assert_allclose(information[k], alone[1], rtol=1e-9, atol=1e-9 * np.abs(information).max())
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("seed", [41, 65])
 def test_a_step_is_not_four_errors_low_where_noise_is_hardly_told_apart(seed):

@@ -115,16 +115,15 @@ def test_alarms_stand_in_metrics_in_the_status_and_on_top_of_the_overview(
     assert "no spectrum since 2014-01-12" in client.get("/alarms").text
 
 
-def test_a_step_is_raised_once_and_a_season_not_at_all(station: Factory) -> None:
-    night(station)
-    with served(station) as client:
+def test_a_step_is_raised_once_and_a_season_not_at_all(after_night: Factory) -> None:
+    with served(after_night) as client:
         (step,) = alarms(client, kind="step")
         assert step["sentence"].startswith("CS002 antenna 2 Y: C changed by -6.")
         assert abs(np.datetime64(step["since"][:10]) - np.datetime64("2015-04-11")) <= np.timedelta64(3, "D")
         (proposed,) = step["content"]["proposal"]
         assert (proposed["station"], proposed["antenna"], proposed["since"]) == ("CS002", 2, step["since"])
         assert alarms(client, kind="slope") == []
-        assert look_for_due_work(station) == []
+        assert look_for_due_work(after_night) == []
         assert len(alarms(client, kind="step", state="all")) == 1
         assert "CS002 antenna 2 Y" in client.get("/alarms").text
         page = client.get("/stations/CS002").text

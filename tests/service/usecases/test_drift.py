@@ -55,34 +55,33 @@ def measure_again(factory: Factory, block: Sums) -> None:
 
 @pytest.mark.long
 def test_after_one_more_event_drift_reads_it_alone_and_is_that_of_the_whole_year(
-    station: Factory, campaign: Spectra
+    after_night: Factory, campaign: Spectra
 ) -> None:
-    night(station)
-    _, before, first = measured(station)
+    _, before, first = measured(after_night)
     assert first.whole == first.spectra
     typical = campaign.event_id[campaign.time_unix > YEAR["since"] / 1e6][5]
     one = campaign.select(campaign.event_id == typical)
     later = replace(one, event_id=np.full(len(one), "999999999"), time_unix=one.time_unix + 3600.0)
-    add_spectra(station, later)
-    night(station)
-    added, digests, source = measured(station)
+    add_spectra(after_night, later)
+    night(after_night)
+    added, digests, source = measured(after_night)
     assert (source.spectra, source.whole) == (first.spectra + len(later), first.whole)
     assert len(set(digests) & set(before)) == 1, "the events of the year of the new one are others"
 
-    measure_again(station, replace(source, inputs="another reference"))
-    whole, of_whole, read = measured(station)
+    measure_again(after_night, replace(source, inputs="another reference"))
+    whole, of_whole, read = measured(after_night)
     assert (read.inputs, read.whole) == (source.inputs, source.spectra)
     assert of_whole == digests
     assert whole == added
 
-    measure_again(station, replace(read, flag=read.flag + 1))
-    assert measured(station)[:2] == (whole, of_whole)
-    assert measured(station)[2].flag == read.flag
+    measure_again(after_night, replace(read, flag=read.flag + 1))
+    assert measured(after_night)[:2] == (whole, of_whole)
+    assert measured(after_night)[2].flag == read.flag
 
 
 @pytest.mark.long
-def test_the_planted_step_is_first_with_its_antenna_and_date(station: Factory, http: TestClient) -> None:
-    night(station)
+@pytest.mark.usefixtures("after_night")
+def test_the_planted_step_is_first_with_its_antenna_and_date(http: TestClient) -> None:
     drift = http.get("/v1/drift", params={"station": "CS002"}).json()
     (first,) = drift["steps"]
     assert (first["antenna"], first["dipole"]) == (2, "Y")
@@ -195,9 +194,8 @@ def test_the_cables_of_other_antennas_are_told_with_what_they_do() -> None:
 
 
 @pytest.mark.long
-def test_the_page_of_the_drift_says_why_a_version_differs(station: Factory) -> None:
-    night(station)
-    with TestClient(make_app(station)) as client:
+def test_the_page_of_the_drift_says_why_a_version_differs(after_night: Factory) -> None:
+    with TestClient(make_app(after_night)) as client:
         page = client.get("/drift").text
     assert "what else is another" in page
     assert ' class="wrap">the first</td>' in page

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from lbacal_twin.settings import TwinSettings
 from service.factory import Factory
 from service.page.render import format_day
 from service.scheduler import look_for_due_work
-from tests.service.conftest import Clock, bearer, copy_database, night, served, work
+from tests.service.conftest import bearer, night, served, work
 from validation.twin import planted_curve
 
 PATH = {"station": "CS002", "antenna": 2, "dipole": "Y"}
@@ -41,43 +41,19 @@ def campaign(superterp: Instrument, sky_power_file: Path) -> Spectra:
     ).spectra
 
 
-@dataclass
-class Kept:
-    """A database in which the investigation was made, where it was copied, its id, and the instant then."""
-
-    url: str
-    investigation: str
-    now: int
-
-
-@pytest.fixture(scope="session")
-def kept() -> dict[str, Kept]:
-    """By the kind of database; the investigation is made once, and each test begins with a copy."""
-    return {}
-
-
 @pytest.fixture
-def found(
-    station: Factory, http: TestClient, clock: Clock, kept: dict[str, Kept], tmp_path_factory: pytest.TempPathFactory
-) -> str:
+def found(station: Factory, http: TestClient, begin_with: Callable[[str, Callable[[], object]], None]) -> str:
     """The id of the investigation of 2015, whose finding 0 is the mixed dipoles; the years are in effect."""
-    own, kind = station.settings.database_url, station.database.engine.dialect.name
-    if kind in kept:
-        station.database.close()
-        copy_database(kept[kind].url, own)
-        clock.now = kept[kind].now
-        http.headers.update(bearer(station, "admin"))
-    else:
+
+    def investigate() -> None:
         night(station)
-        job = http.post("/v1/investigations", json=BETWEEN).json()["job"]
+        assert http.post("/v1/investigations", json=BETWEEN).status_code == 202
         work(station)
-        (name,) = http.get(f"/v1/jobs/{job}").json()["results"]
-        is_file = kind == "sqlite"
-        url = str(tmp_path_factory.mktemp("kept") / "kept.sqlite") if is_file else own.replace("/test_", "/kept_", 1)
-        station.database.close()
-        copy_database(own, url)
-        kept[kind] = Kept(url, str(name), clock.now)
-    return kept[kind].investigation
+
+    begin_with("investigation", investigate)
+    http.headers.update(bearer(station, "admin"))
+    (one,) = http.get("/v1/investigations").json()["investigations"]
+    return str(one["id"])
 
 
 def told(http: TestClient, at: str, **params: Any) -> dict[str, Any]:

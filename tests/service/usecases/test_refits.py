@@ -106,32 +106,30 @@ def count(factory: Factory, name: str) -> int:
 
 @pytest.mark.long
 def test_a_night_that_hardly_moves_c_leaves_no_version_and_is_not_due_again(
-    station: Factory, campaign: Spectra
+    after_night: Factory, campaign: Spectra
 ) -> None:
     """After 365 nights of one station its page was 11 MB: every new event made 576 versions and promotions."""
-    night(station)
-    before = {name: count(station, name) for name in ("calibration", "promotion")}
-    flag_first(station, campaign)
-    jobs = refits_of_night(station)
+    before = {name: count(after_night, name) for name in ("calibration", "promotion")}
+    flag_first(after_night, campaign)
+    jobs = refits_of_night(after_night)
     results = [job.results[0] for job in jobs]
     news = sum(len(result["promoted"]) for result in results)
     examined = sum(result["examined"] for result in results)
     assert (news + examined, [result["gated"] for result in results]) == (10, [{}] * 3)
     assert examined >= 8, "one event of 400 moves C by about 0.05 standard deviations"
-    assert count(station, "calibration") == before["calibration"] + news
-    assert count(station, "promotion") == before["promotion"] + news
-    assert look_for_due_work(station) == []
-    assert count(station, "examined") == examined + 10, "the other year looked at its neighbour's lines"
+    assert count(after_night, "calibration") == before["calibration"] + news
+    assert count(after_night, "promotion") == before["promotion"] + news
+    assert look_for_due_work(after_night) == []
+    assert count(after_night, "examined") == examined + 10, "the other year looked at its neighbour's lines"
 
 
 @pytest.mark.long
 def test_a_channel_without_a_value_made_the_night_fail_on_sqlite_and_was_kept_for_ever_on_postgresql(
-    station: Factory, campaign: Spectra
+    after_night: Factory, campaign: Spectra
 ) -> None:
     """C of 62 to 66 events has no value at 80 MHz: the shift to the next night was NaN, which is NULL in SQLite."""
-    night(station)
     path = Scope("CS002", 0, "X")
-    with station.database.write() as stores:
+    with after_night.database.write() as stores:
         in_effect = stores.ledger.answers([path], 1_400_000_000_000_000, None)[path][0].calibration
         (version,) = stores.versions.get_many([str(in_effect)]).values()
         (curve,) = version.payload
@@ -140,21 +138,20 @@ def test_a_channel_without_a_value_made_the_night_fail_on_sqlite_and_was_kept_fo
         curve["flag"][-1], curve["covariance"] = "outside", None
         stored = update(calibration).where(calibration.c.id == in_effect)
         stores.versions._connection.execute(stored.values(curves=json.dumps([curve])))
-    flag_first(station, campaign)
-    jobs = refits_of_night(station)
+    flag_first(after_night, campaign)
+    jobs = refits_of_night(after_night)
     assert [(job.state, job.errors) for job in jobs] == [("done", ())] * 3
     (of_paths,) = (job.results[0] for job in jobs if job.request["scope"] == "antenna")
     assert in_effect not in of_paths["promoted"]
-    made = [station.calibrations.get(name) for name in of_paths["promoted"]]
+    made = [after_night.calibrations.get(name) for name in of_paths["promoted"]]
     assert path in [version.scope for version in made], "a channel that got its value is news"
 
 
 @pytest.mark.long
-def test_what_was_examined_confirms_the_version_in_effect(station: Factory, campaign: Spectra) -> None:
-    night(station)
-    flag_first(station, campaign)
-    night(station)
-    with station.database.read() as stores:
+def test_what_was_examined_confirms_the_version_in_effect(after_night: Factory, campaign: Spectra) -> None:
+    flag_first(after_night, campaign)
+    night(after_night)
+    with after_night.database.read() as stores:
         rows = stores.versions._connection.exec_driver_sql("SELECT calibration FROM examined ORDER BY scope").scalars()
         found = [stores.versions.confirmation(name) for name in rows.all()]
     assert found
@@ -162,7 +159,7 @@ def test_what_was_examined_confirms_the_version_in_effect(station: Factory, camp
         assert isinstance(one, Examined)
         assert 0 <= one.shift < 0.25
         assert one.inputs != one.calibration
-        version, _, confirmed = station.calibrations.get_with_promotions(one.calibration)
+        version, _, confirmed = after_night.calibrations.get_with_promotions(one.calibration)
         assert confirmed == one
         assert (version.scope, version.window) == (one.scope, (one.since, one.until))
     assert {one.scope.station for one in found if one} <= {None, "CS002"}
@@ -170,45 +167,42 @@ def test_what_was_examined_confirms_the_version_in_effect(station: Factory, camp
 
 @pytest.mark.long
 def test_a_refit_that_was_asked_for_stores_its_version_however_little_it_moves(
-    station: Factory, campaign: Spectra
+    after_night: Factory, campaign: Spectra
 ) -> None:
-    night(station)
-    flag_first(station, campaign)
-    night(station)
-    before = count(station, "calibration")
-    result = refit(station, "antenna").results[0]
+    flag_first(after_night, campaign)
+    night(after_night)
+    before = count(after_night, "calibration")
+    result = refit(after_night, "antenna").results[0]
     assert (len(result["calibrations"]), len(result["promoted"]), result["examined"]) == (8, 8, 0)
-    assert count(station, "calibration") >= before + 8 - 2, "at most two of them were news to the night"
+    assert count(after_night, "calibration") >= before + 8 - 2, "at most two of them were news to the night"
 
 
 @pytest.mark.long
-def test_a_night_with_news_stores_it(station: Factory, campaign: Spectra) -> None:
-    night(station)
+def test_a_night_with_news_stores_it(after_night: Factory, campaign: Spectra) -> None:
     of_year = np.unique(campaign.event_id[campaign.time_unix < np.datetime64("2015-01-01", "s").astype(float)])
     for name in of_year[::3]:
-        station.intake.set_flag(str(name), "bad", reason="test", by="test")
-    results = [job.results[0] for job in refits_of_night(station)]
+        after_night.intake.set_flag(str(name), "bad", reason="test", by="test")
+    results = [job.results[0] for job in refits_of_night(after_night)]
     assert sum(len(result["promoted"]) for result in results) >= 8
     changed = [v for result in results for v in result["promoted"]]
-    with station.database.read() as stores:
+    with after_night.database.read() as stores:
         said = stores.ledger.answers([Scope("CS002", 0, "X")], 1_400_000_000_000_000, None)
     assert said[Scope("CS002", 0, "X")][0].calibration in changed
 
 
 @pytest.mark.long
-def test_another_model_is_news_even_where_c_stays(station: Factory, monkeypatch: pytest.MonkeyPatch) -> None:
-    night(station)
-    before = count(station, "calibration")
+def test_another_model_is_news_even_where_c_stays(after_night: Factory, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = count(after_night, "calibration")
     monkeypatch.setattr("service.usecases.fits.MODEL_VERSION", 99)
     for place in ("lbacal_core.provenance.Provenance.__init__", "service.usecases.orders.Inputs.__init__"):
         module, owner, _ = place.rsplit(".", 2)
         made = getattr(__import__(module, fromlist=[owner]), owner)
         defaults = tuple(99 if value == MODEL_VERSION else value for value in made.__init__.__defaults__)
         monkeypatch.setattr(made.__init__, "__defaults__", defaults)
-    with like(station) as later:
+    with like(after_night) as later:
         results = [job.results[0] for job in refits_of_night(later)]
     assert [result["examined"] for result in results] == [0] * 6
-    assert count(station, "calibration") == 2 * before
+    assert count(after_night, "calibration") == 2 * before
 
 
 def test_spectra_in_volts_fail_the_refit_with_the_reason(bare: Factory, campaign: Spectra) -> None:
@@ -219,10 +213,9 @@ def test_spectra_in_volts_fail_the_refit_with_the_reason(bare: Factory, campaign
 
 
 @pytest.mark.long
-def test_a_version_that_a_later_night_replaced_waited_for_a_human_for_ever(station: Factory) -> None:
+def test_a_version_that_a_later_night_replaced_waited_for_a_human_for_ever(after_night: Factory) -> None:
     """A year's first versions have too few events: the status went on to count them when the year was calibrated."""
-    night(station)
-    with station.database.write() as stores:
+    with after_night.database.write() as stores:
         version = max(stores.versions.search(None, None, "", 1000), key=lambda one: one.made)
         assert stores.versions.count_gated() == 0
         for made, waiting in ((version.made - 1, 0), (version.made + 1, 1)):
