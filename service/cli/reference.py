@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from collections import Counter
 from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path
@@ -22,9 +23,11 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 _COMMANDS = """# Commands
 Written by `./dev docs` from the commands themselves: do not edit. Every command exits with 0 when it is done, 1 when
-the work failed, and 2 on bad usage or bad input, with one sentence on standard error that names the place, what was
-expected and what was found. `fit`, `investigate`, `lst-curve`, `sky-power` and `spectra` need the extra `fit`, `paper`
-that of its name; `serve`, `scheduler`, `worker`, `db` and `keys` need `server` ([how to install](how-to/install.md)).
+the work failed, and 2 on bad usage or bad input, with one sentence on standard error. `fit`, `investigate`,
+`lst-curve`, `sky-power` and `spectra` need the extra `fit`, `paper` that of its name; `serve`, `scheduler`, `worker`,
+`db` and `keys` need `server` ([how to install](how-to/install.md)). A star marks what is required, (=) a default.
+
+## Options of several commands
 """
 _SETTINGS = """# Settings
 Written by `./dev docs` from `service/config.py` and `lbacal/settings.py`: do not edit. Each setting is an environment
@@ -37,16 +40,16 @@ _CAUSES = """# Causes
 Written by `./dev docs` from `lbacal_core/causes/`: do not edit. What `lbacal investigate` looks for: mechanisms that
 may make a simulation wrong, with the unit of their size, the templates that a search tries, and how other means could
 confirm them. [How it searches](explanation/what-the-simulation-gets-wrong.md), [how to add one](how-to/add-a-cause.md).
-
-| cause | meaning | unit of its size |
-|---|---|---|
 """
 
 
 def describe_commands() -> str:
     """The content of docs/commands.md."""
     add_commands()
-    return _COMMANDS + "".join(_describe(["lbacal"], typer.main.get_command(app)))
+    top = typer.main.get_command(app)
+    shared = _find_shared(top)
+    listed = "".join(f"- {line}\n" for line in sorted(shared))
+    return _COMMANDS + listed + "".join(_describe(["lbacal"], top, shared))
 
 
 def describe_settings() -> str:
@@ -62,44 +65,54 @@ def describe_settings() -> str:
 def describe_causes() -> str:
     """The content of docs/causes.md."""
     causes: list[Cause | AntennaCause] = sorted((*CAUSES, *ANTENNA_CAUSES), key=lambda one: one.identifier)
-    rows = [f"| [`{c.identifier}`](#{c.identifier}) | {c.meaning} | {c.unit} |\n" for c in causes]
-    return _CAUSES + "".join(rows) + "".join(_describe_cause(cause) for cause in causes)
+    return _CAUSES + "".join(_describe_cause(cause) for cause in causes)
 
 
 def _describe_cause(cause: Cause | AntennaCause) -> str:
     kind = type(cause)
-    does, tried = ("act", "templates") if isinstance(cause, Cause) else ("", "templates")
-    lines = {
-        "Mechanism": _first_line(kind),
-        "What it does": _first_line(getattr(kind, does)) if does else "",
-        "Templates tried": "" if getattr(kind, tried) is Cause.templates else _first_line(getattr(kind, tried)),
-        "Concerns": ", ".join(cause.scopes),
-        "Acts along": ", ".join(cause.axes),
-        "How to confirm": cause.confirm,
-        "Not shown by data with": cause.needs,
-    }
-    text = "".join(f"- {name}: {value}\n" for name, value in lines.items() if value)
-    return f"\n## {cause.identifier}\n{cause.meaning[0].upper()}{cause.meaning[1:]} ({cause.unit}).\n\n{text}"
+    does = _first_line(cause.act) if isinstance(cause, Cause) else ""
+    tried = "" if kind.templates is Cause.templates else _first_line(kind.templates)
+    lines = (
+        f"{_first_line(kind)} {does}".strip(),
+        f"Templates: {tried}" if tried else "",
+        f"Targets: {', '.join(cause.scopes)}. Axes: {', '.join(cause.axes)}.",
+        f"To confirm: {cause.confirm}.",
+        f"Not shown where: {cause.needs}." if cause.needs else "",
+    )
+    text = "".join(f"- {line}\n" for line in lines if line)
+    return f"\n## {cause.identifier}\n{cause.meaning[0].upper()}{cause.meaning[1:]} ({cause.unit}).\n{text}"
 
 
 def _first_line(thing: Any) -> str:
     return (inspect.getdoc(thing) or "").partition("\n")[0]
 
 
-def _describe(path: list[str], command: Any) -> Iterator[str]:
-    """One section a command, those of a group after its own."""
-    arguments = [f"{p.name.upper()}{'...' if p.nargs < 0 else ''}" for p in command.params if _is_argument(p)]
-    yield f"\n## `{' '.join([*path, *arguments])}`\n"
-    for paragraph in inspect.cleandoc(command.help or "").split("\n\n"):
-        text = " ".join(paragraph.split())
-        example = text.removeprefix("Example: ")
-        yield f"{text}\n\n" if example == text else f"Example: `{example}`\n\n"
-    rows = [_describe_parameter(p) for p in command.params if "--help" not in p.opts]
-    if rows:
-        yield "| argument or option | meaning | default |\n|---|---|---|\n"
-        yield from rows
+def _walk(path: list[str], command: Any) -> Iterator[tuple[list[str], Any]]:
+    """Every command with the words that call it, those of a group after the group itself."""
+    yield path, command
     for name, one in getattr(command, "commands", {}).items():
-        yield from _describe([*path, name], one)
+        yield from _walk([*path, name], one)
+
+
+def _find_shared(top: Any) -> set[str]:
+    """What three commands or more have with the same meaning: it stands once, before the commands."""
+    counts = Counter(_describe_parameter(one) for _, command in _walk([], top) for one in command.params)
+    return {line for line, count in counts.items() if count > 2 and not line.startswith("`--help`")}
+
+
+def _describe(top_path: list[str], top: Any, shared: set[str]) -> Iterator[str]:
+    """One section a command."""
+    for path, command in _walk(top_path, top):
+        arguments = [f"{p.name.upper()}{'...' if p.nargs < 0 else ''}" for p in command.params if _is_argument(p)]
+        yield f"\n## `{' '.join([*path, *arguments])}`\n"
+        for paragraph in inspect.cleandoc(command.help or "").split("\n\n"):
+            text = " ".join(paragraph.split())
+            example = text.removeprefix("Example: ")
+            yield f"{text}\n\n" if example == text else f"`{example}`\n\n"
+        lines = [_describe_parameter(p) for p in command.params if "--help" not in p.opts]
+        known = ", ".join(f"{line.partition(':')[0]}" for line in lines if line in shared)
+        yield from (f"- {line}\n" for line in lines if line not in shared)
+        yield from [f"- as above: {known}\n"] if known else []
 
 
 def _is_argument(parameter: Any) -> bool:
@@ -110,14 +123,14 @@ def _describe_parameter(parameter: Any) -> str:
     name = parameter.name.upper() if _is_argument(parameter) else " / ".join(parameter.opts + parameter.secondary_opts)
     kind = parameter.type_descriptor.annotation
     choices = f" One of {', '.join(kind)}." if isinstance(kind, type) and issubclass(kind, StrEnum) else ""
-    return f"| `{name}` | {parameter.help or ''}{choices} | {_default(parameter)} |\n"
+    is_required = "*" if parameter.required and not _is_argument(parameter) else ""
+    default = _default(parameter)
+    return f"`{name}`{is_required}: {parameter.help or ''}{choices}{f' (={default})' if default else ''}"
 
 
 def _default(parameter: Any) -> str:
-    if parameter.required:
-        return "required"
     value = parameter.default
-    if value is None or value is False or value == ():
+    if parameter.required or value is None or value is False or value == ():
         return ""
     value = getattr(value, "value", value)
     return " ".join(map(str, value)) if isinstance(value, tuple | list) else str(value)
