@@ -58,13 +58,19 @@ def describe_claims(claims: Sequence[Mapping[str, Any]]) -> str:
     head = ["| id | section | statement | published | ours | verdict |", "|---|---|---|---|---|---|"]
     parts = [f"**{describe_verdicts(claims)}.**", "\n".join([*head, *rows])]
     for verdict, title in TITLES.items():
-        reasons = {one["id"]: one["how"] for one in claims if one["verdict"] == verdict}
-        if verdict != DISAGREE:
-            reasons = {name: re.split(r"; |\. (?=[A-Z])", how)[0] for name, how in reasons.items()}
-        chosen = [f"- `{name}`: {how.rstrip('.')}." for name, how in reasons.items()]
+        chosen = _list_reasons({one["id"]: one["how"] for one in claims if one["verdict"] == verdict}, verdict)
         if chosen:
             parts.append(f"## {title}\n" + "\n".join(chosen))
     return "\n\n".join(parts) + "\n"
+
+
+def _list_reasons(reasons: Mapping[str, str], verdict: str) -> list[str]:
+    """A line a reason, whole where we disagree, else its beginning, with all that it stands behind."""
+    end = {DISAGREE: r"\Z", UNTESTED: r"[;:] |\. (?=[A-Z])"}.get(verdict, r"; |\. (?=[A-Z])")
+    names: dict[str, list[str]] = {}
+    for name, how in reasons.items():
+        names.setdefault(re.split(end, how)[0].rstrip("."), []).append(f"`{name}`")
+    return [f"- {', '.join(several)}: {reason}." for reason, several in names.items()]
 
 
 def insert_claims(page: str, claims: Sequence[Mapping[str, Any]]) -> str:
