@@ -33,8 +33,6 @@ _SETTINGS = """# Settings
 Written by `./dev docs` from `service/config.py` and `lbacal/settings.py`: do not edit. Each setting is an environment
 variable; one that begins with `LBACAL_` and is not in this list is refused by every command.
 
-| setting | meaning | default |
-|---|---|---|
 """
 _CAUSES = """# Causes
 Written by `./dev docs` from `lbacal_core/causes/`: do not edit. What `lbacal investigate` looks for: mechanisms that
@@ -59,7 +57,7 @@ def describe_settings() -> str:
         default = "required" if field.default is PydanticUndefined else field.default
         rows[f"LBACAL_{name.upper()}"] = (field.description or "", "none" if default is None else str(default))
     rows |= {name: row for name, row in CLIENT_SETTINGS.items() if name not in rows}
-    return _SETTINGS + "".join(f"| `{name}` | {text} | {default} |\n" for name, (text, default) in rows.items())
+    return _SETTINGS + "".join(f"- `{name}`: {text} (={default})\n" for name, (text, default) in rows.items())
 
 
 def describe_causes() -> str:
