@@ -93,9 +93,13 @@ def _walk(path: list[str], command: Any) -> Iterator[tuple[list[str], Any]]:
 
 
 def _find_shared(top: Any) -> set[str]:
-    """What three commands or more have with the same meaning: it stands once, before the commands."""
+    """What several commands have with the same meaning, the commonest of each name: it stands once, before them."""
     counts = Counter(_describe_parameter(one) for _, command in _walk([], top) for one in command.params)
-    return {line for line, count in counts.items() if count > 2 and not line.startswith("`--help`")}
+    commonest: dict[str, str] = {}
+    for line, count in counts.most_common():
+        if count > 1:
+            commonest.setdefault(line.split("`")[1], line)
+    return {line for line in commonest.values() if not line.startswith("`--help`")}
 
 
 def _describe(top_path: list[str], top: Any, shared: set[str]) -> Iterator[str]:
@@ -107,7 +111,11 @@ def _describe(top_path: list[str], top: Any, shared: set[str]) -> Iterator[str]:
             text = " ".join(paragraph.split())
             example = text.removeprefix("Example: ")
             yield f"{text}\n\n" if example == text else f"`{example}`\n\n"
-        lines = [_describe_parameter(p) for p in command.params if "--help" not in p.opts]
+        lines = [
+            _describe_parameter(p)
+            for p in command.params
+            if p.name not in ("help", "install_completion", "show_completion")
+        ]
         known = ", ".join(f"{line.partition(':')[0]}" for line in lines if line in shared)
         yield from (f"- {line}\n" for line in lines if line not in shared)
         yield from [f"- as above: {known}\n"] if known else []
