@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-from collections import Counter
 from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path
@@ -22,12 +21,11 @@ from service.config import Settings
 DOCS = Path(__file__).parents[2] / "docs"
 
 _COMMANDS = """# Commands
-Written by `./dev docs` from the commands themselves: do not edit. Every command exits with 0 when it is done, 1 when
-the work failed, and 2 on bad usage or bad input, with one sentence on standard error. `fit`, `investigate`,
-`lst-curve`, `sky-power` and `spectra` need the extra `fit`, `paper` that of its name; `serve`, `scheduler`, `worker`,
-`db` and `keys` need `server` ([how to install](how-to/install.md)). A star marks what is required, (=) a default.
-
-## Options of several commands
+Written by `./dev docs` from the commands themselves: do not edit. `lbacal COMMAND --help` says what each option means
+and what it is by default; a star marks what is required. Every command exits with 0 when it is done, 1 when the work
+failed, and 2 on bad usage or bad input, with one sentence on standard error. `fit`, `investigate`, `lst-curve`,
+`sky-power` and `spectra` need the extra `fit`, `paper` that of its name; `serve`, `scheduler`, `worker`, `db` and
+`keys` need `server` ([how to install](how-to/install.md)).
 """
 _SETTINGS = """# Settings
 Written by `./dev docs` from `service/config.py` and `lbacal/settings.py`: do not edit. Each setting is an environment
@@ -44,10 +42,7 @@ confirm them. [How it searches](explanation/what-the-simulation-gets-wrong.md), 
 def describe_commands() -> str:
     """The content of docs/commands.md."""
     add_commands()
-    top = typer.main.get_command(app)
-    shared = _find_shared(top)
-    listed = "".join(f"- {line}\n" for line in sorted(shared))
-    return _COMMANDS + listed + "".join(_describe(["lbacal"], top, shared))
+    return _COMMANDS + "".join(_describe(["lbacal"], typer.main.get_command(app)))
 
 
 def describe_settings() -> str:
@@ -85,61 +80,34 @@ def _first_line(thing: Any) -> str:
     return (inspect.getdoc(thing) or "").partition("\n")[0]
 
 
-def _walk(path: list[str], command: Any) -> Iterator[tuple[list[str], Any]]:
-    """Every command with the words that call it, those of a group after the group itself."""
-    yield path, command
+def _describe(path: list[str], command: Any) -> Iterator[str]:
+    """One section a command, those of a group after its own."""
+    arguments = [f"{p.name.upper()}{'...' if p.nargs < 0 else ''}" for p in command.params if _is_argument(p)]
+    yield f"\n## `{' '.join([*path, *arguments])}`\n"
+    for paragraph in inspect.cleandoc(command.help or "").split("\n\n"):
+        text = " ".join(paragraph.split())
+        example = text.removeprefix("Example: ")
+        yield f"{text}\n\n" if example == text else f"`{example}`\n\n"
+    options = ", ".join(_name_option(one) for one in command.params if not _is_argument(one) and one.name not in OF_ALL)
+    yield f"Options: {options}\n" if options else ""
     for name, one in getattr(command, "commands", {}).items():
-        yield from _walk([*path, name], one)
+        yield from _describe([*path, name], one)
 
 
-def _find_shared(top: Any) -> set[str]:
-    """What several commands have with the same meaning, the commonest of each name: it stands once, before them."""
-    counts = Counter(_describe_parameter(one) for _, command in _walk([], top) for one in command.params)
-    commonest: dict[str, str] = {}
-    for line, count in counts.most_common():
-        if count > 1:
-            commonest.setdefault(line.split("`")[1], line)
-    return {line for line in commonest.values() if not line.startswith("`--help`")}
-
-
-def _describe(top_path: list[str], top: Any, shared: set[str]) -> Iterator[str]:
-    """One section a command."""
-    for path, command in _walk(top_path, top):
-        arguments = [f"{p.name.upper()}{'...' if p.nargs < 0 else ''}" for p in command.params if _is_argument(p)]
-        yield f"\n## `{' '.join([*path, *arguments])}`\n"
-        for paragraph in inspect.cleandoc(command.help or "").split("\n\n"):
-            text = " ".join(paragraph.split())
-            example = text.removeprefix("Example: ")
-            yield f"{text}\n\n" if example == text else f"`{example}`\n\n"
-        lines = [
-            _describe_parameter(p)
-            for p in command.params
-            if p.name not in ("help", "install_completion", "show_completion")
-        ]
-        known = ", ".join(f"{line.partition(':')[0]}" for line in lines if line in shared)
-        yield from (f"- {line}\n" for line in lines if line not in shared)
-        yield from [f"- as above: {known}\n"] if known else []
+OF_ALL = ("help", "install_completion", "show_completion")
+"""Options that say nothing of a command."""
 
 
 def _is_argument(parameter: Any) -> bool:
     return not parameter.opts[0].startswith("-")
 
 
-def _describe_parameter(parameter: Any) -> str:
-    name = parameter.name.upper() if _is_argument(parameter) else " / ".join(parameter.opts + parameter.secondary_opts)
+def _name_option(parameter: Any) -> str:
+    """The option, its choices where it has some, and a star where it is required."""
     kind = parameter.type_descriptor.annotation
-    choices = f" One of {', '.join(kind)}." if isinstance(kind, type) and issubclass(kind, StrEnum) else ""
-    is_required = "*" if parameter.required and not _is_argument(parameter) else ""
-    default = _default(parameter)
-    return f"`{name}`{is_required}: {parameter.help or ''}{choices}{f' (={default})' if default else ''}"
-
-
-def _default(parameter: Any) -> str:
-    value = parameter.default
-    if parameter.required or value is None or value is False or value == ():
-        return ""
-    value = getattr(value, "value", value)
-    return " ".join(map(str, value)) if isinstance(value, tuple | list) else str(value)
+    is_choice = isinstance(kind, type) and issubclass(kind, StrEnum)
+    choices = f" {'|'.join(kind)}" if is_choice else ""
+    return f"`{' / '.join(parameter.opts + parameter.secondary_opts)}{choices}`{'*' if parameter.required else ''}"
 
 
 def main() -> None:
