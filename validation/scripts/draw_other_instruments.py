@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import warnings
 from pathlib import Path
@@ -91,10 +92,15 @@ def read_rs509(data: Path) -> tuple[Spectra, Instrument, Floats]:
 
 def tabulate_audit(report: AuditReport) -> list[str]:
     """What is wrong, line by line, and in one row all that one spectrum a path leaves open."""
-    wrong = [(line.verdict, line.check, line.sentence) for line in report.lines if line.verdict != "undecided"]
-    left = ", ".join(line.check for line in report.lines if line.verdict == "undecided")
+    wrong = [(one.verdict, one.check, _shorten(one.sentence)) for one in report.lines if one.verdict != "undecided"]
+    left = ", ".join(one.check for one in report.lines if one.verdict == "undecided")
     rows = [*wrong, ("undecided", left, "one spectrum a path does not tell; some hours would")]
     return write_table(["verdict", "check", "what is said"], rows)
+
+
+def _shorten(sentence: str) -> str:
+    """The sentence without what stands in brackets."""
+    return re.sub(r" \([^)]*\)", "", sentence)
 
 
 def read_edges(data: Path) -> dict[str, Floats]:
