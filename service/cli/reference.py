@@ -63,17 +63,18 @@ def describe_causes() -> str:
 
 def _describe_cause(cause: Cause | AntennaCause) -> str:
     kind = type(cause)
-    does = _first_line(cause.act) if isinstance(cause, Cause) else ""
+    is_one_of_several = sum(type(one) is kind for one in (*CAUSES, *ANTENNA_CAUSES)) > 1
+    says = f"{cause.meaning[0].upper()}{cause.meaning[1:]}" if is_one_of_several else _first_line(kind).rstrip(".")
+    does = f" {_first_line(cause.act)}" if isinstance(cause, Cause) else ""
     tried = "" if kind.templates is Cause.templates else _first_line(kind.templates)
     lines = (
-        f"{_first_line(kind)} {does}".strip(),
         f"Templates: {tried}" if tried else "",
         f"Targets: {', '.join(cause.scopes)}. Axes: {', '.join(cause.axes)}.",
         f"To confirm: {cause.confirm}.",
         f"Not shown where: {cause.needs}." if cause.needs else "",
     )
     text = "".join(f"- {line}\n" for line in lines if line)
-    return f"\n## {cause.identifier}\n{cause.meaning[0].upper()}{cause.meaning[1:]} ({cause.unit}).\n{text}"
+    return f"\n## {cause.identifier}\n{says} ({cause.unit}).{does}\n{text}"
 
 
 def _first_line(thing: Any) -> str:
