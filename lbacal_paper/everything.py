@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,7 +32,6 @@ from lbacal_paper.shower_study import (
 )
 from lbacal_paper.showers.coreas import Shower, read_coreas
 from lbacal_paper.statements import (
-    BY_CONSTRUCTION,
     DISAGREE,
     UNDECIDED,
     UNTESTED,
@@ -45,13 +45,12 @@ TITLES = {
     DISAGREE: "Where we disagree",
     UNDECIDED: "What our numbers leave undecided",
     UNTESTED: "What cannot be tested here",
-    BY_CONSTRUCTION: "What follows by construction",
 }
 BEGIN, END = "<!-- claims: written by validation/scripts/write_paper_page.py -->", "<!-- end of claims -->"
 
 
 def describe_claims(claims: Sequence[Mapping[str, Any]]) -> str:
-    """The table of all claims, then what stands behind those that do not simply agree."""
+    """The table of all claims, then why we disagree, and in a first sentence what leaves others open or untested."""
     rows = [
         f"| `{one['id']}` | {one['section']} | {one['claim']} | {_published(one)} | {_ours(one)} | {one['verdict']} |"
         for one in claims
@@ -59,10 +58,19 @@ def describe_claims(claims: Sequence[Mapping[str, Any]]) -> str:
     head = ["| id | section | statement | published | ours | verdict |", "|---|---|---|---|---|---|"]
     parts = [f"**{describe_verdicts(claims)}.**", "\n".join([*head, *rows])]
     for verdict, title in TITLES.items():
-        chosen = [f"- `{one['id']}`: {one['how'].rstrip('.')}." for one in claims if one["verdict"] == verdict]
+        chosen = _list_reasons({one["id"]: one["how"] for one in claims if one["verdict"] == verdict}, verdict)
         if chosen:
             parts.append(f"## {title}\n" + "\n".join(chosen))
     return "\n\n".join(parts) + "\n"
+
+
+def _list_reasons(reasons: Mapping[str, str], verdict: str) -> list[str]:
+    """A line a reason, whole where we disagree, else its beginning, with all that it stands behind."""
+    end = {DISAGREE: r"\Z", UNTESTED: r"[;:] |\. (?=[A-Z])"}.get(verdict, r"; |\. (?=[A-Z])")
+    names: dict[str, list[str]] = {}
+    for name, how in reasons.items():
+        names.setdefault(re.split(end, how)[0].rstrip("."), []).append(f"`{name}`")
+    return [f"- {', '.join(several)}: {reason}." for reason, several in names.items()]
 
 
 def insert_claims(page: str, claims: Sequence[Mapping[str, Any]]) -> str:

@@ -140,3 +140,19 @@ def test_the_code_knows_every_entry_of_the_glossary(repository: Path, tracked: l
         if re.sub(r"[\s_-]+", " ", in_code.lower()) not in known:
             unknown.add(entry)
     assert unknown == set()
+
+
+WORDS_OF_ALL_PAGES = 45_800
+"""README and docs together; 76,000 when each page told what another one had told. 40,000 is the aim."""
+
+
+def test_all_pages_together_have_no_more_words_than_are_read(repository: Path, tracked: list[Path]) -> None:
+    pages = [path for path in tracked if path.suffix == ".md" and path.parts[0] in ("README.md", "docs")]
+    assert len(pages) > 60
+    assert sum(len((repository / path).read_text().split()) for path in pages) <= WORDS_OF_ALL_PAGES
+
+
+def test_a_decision_has_at_most_twenty_lines(repository: Path) -> None:
+    lines = {path.name: path.read_text().splitlines() for path in (repository / "docs/decisions").glob("*.md")}
+    assert len(lines) > 20
+    assert {name for name, said in lines.items() if len(said) > 20 or max(map(len, said)) > 120} == set()

@@ -154,7 +154,7 @@ class Instrument:
         return made
 
     def save(self, path: str | Path) -> None:
-        """Write the instrument file (docs/formats.md)."""
+        """Write the instrument file (docs/formats/instrument.md)."""
         import json
 
         Path(path).write_text(json.dumps(self.core.as_dict(), indent=1) + "\n")

@@ -1,4 +1,4 @@
-"""Jones tables from files: .npz, the text layout of docs/formats.md, and exports of FEKO, NEC and WIPL-D.
+"""Jones tables from files: .npz, text (docs/formats/antenna-models.md), and exports of FEKO, NEC and WIPL-D.
 
 The simulators transmit. By reciprocity the far field of a dipole that carries 1 A is proportional to its effective
 height times the frequency, so E/nu is read as the Jones term. Its scale per frequency also holds the input current,

@@ -20,7 +20,7 @@ def draw_noise(
     """Draw Gaussian noise with a power density, zero outside its channels.
 
     Each FFT bin is a complex normal variable whose mean square follows from the one-sided density, so that the sum
-    of the density times width times R_r over the band is the mean square of the samples (docs/formats.md).
+    of the density times width times R_r over the band is the mean square of the samples (docs/formats/spectra.md).
 
     Parameters
     ----------

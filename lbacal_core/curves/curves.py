@@ -1,4 +1,4 @@
-"""Calibration curves C(nu), the report of a fit, and their files (docs/formats.md)."""
+"""Calibration curves C(nu), the report of a fit, and their files (docs/formats/fit-report.md)."""
 
 from __future__ import annotations
 

@@ -251,7 +251,7 @@ def _correlation(one: Floats, other: Floats) -> float:
     return float(one @ other) / scale if scale > 0 else 0.0
 
 
-# The report of an LST curve as JSON values, with the fields of an investigation report (docs/formats.md).
+# The report of an LST curve as JSON values: the fields of docs/formats/investigation-report.md.
 
 REPORTED_MHZ = (30.0, 40.0, 50.0, 55.0, 60.0, 70.0, 80.0)
 AS_PUBLISHED = 2.0

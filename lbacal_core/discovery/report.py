@@ -1,4 +1,4 @@
-"""The report of an investigation as JSON values (docs/formats.md) and in plain sentences; it computes nothing."""
+"""The report of an investigation as JSON values and sentences (docs/formats/investigation-report.md)."""
 
 from __future__ import annotations
 

@@ -262,7 +262,7 @@ class Instrument:
         return held.pop() if len(held) == 1 else None
 
     def as_dict(self) -> dict[str, Any]:
-        """The content of an instrument file (docs/formats.md)."""
+        """The content of an instrument file (docs/formats/instrument.md)."""
         return {
             "name": self.name,
             "latitude_deg": self.latitude_deg,

@@ -177,7 +177,7 @@ def parse_stages(content: Any, frequency_mhz: Floats, place: str, folder: Path |
     Parameters
     ----------
     content
-        The list, as docs/formats.md describes it.
+        The list, as docs/formats/instrument.md describes it.
     folder
         Where the Touchstone files are that it names; None where there are none to be read.
     """

@@ -1,4 +1,4 @@
-"""A measured LST curve: band power against local sidereal time, and its file (docs/formats.md)."""
+"""A measured LST curve: band power against local sidereal time, and its file (docs/formats/lst-curve.md)."""
 
 from __future__ import annotations
 

@@ -153,7 +153,7 @@ def parse_time(text: str, path: Path) -> float:
     return (instant if instant.tzinfo else instant.replace(tzinfo=UTC)).timestamp()
 
 
-# Folders of one file an integration: CSV tables or NumPy archives (docs/formats.md).
+# Folders of one file an integration: CSV tables or NumPy archives (docs/how-to/import-other-data.md).
 
 SUFFIXES = (".csv", ".npz")
 

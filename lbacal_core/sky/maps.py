@@ -29,7 +29,7 @@ PYGDSM_NODES_MHZ = np.arange(25.0, 101.0, 5.0)
 
 
 def read_component_maps(path: Path) -> SkyModel:
-    """Read a file of principal components (docs/formats.md): the layout that the PyPI package lsl ships.
+    """Read a file of principal components (docs/formats/sky-models.md): the layout that the PyPI package lsl ships.
 
     Arrays `maps` (pixel, component), `freqs` (node,) in MHz, `comps` (node, component), `sigmas` (node,) in K,
     `ra` and `dec` (pixel,) in rad of each pixel, and optionally `has_cmb` and `has_isotropic`.

@@ -18,7 +18,7 @@ from lbacal_core.provenance import hash_arrays
 # Directions: from ICRS to the equator of date, and from there to the local sky.
 
 DATA_EPOCH = 2015.0
-"""Julian year of the equator that P_sky(LST) refers to; see docs/decisions/precession.md."""
+"""Julian year of the equator that P_sky(LST) refers to; see docs/decisions/sidereal-time.md."""
 
 
 def precession_angles(epoch: float) -> tuple[float, float, float]:

@@ -1,4 +1,4 @@
-"""Directional sky power P_sky(LST, nu) of each dipole, and its file (docs/formats.md)."""
+"""Directional sky power P_sky(LST, nu) of each dipole, and its file (docs/formats/sky-power.md)."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def _undetermined(place: str, lst_hours: Floats, harmonics: int) -> BadInputErro
     )
 
 
-# What a sky power was computed for: instrument, sky, antenna and arms, with their hashes (docs/formats.md).
+# What a sky power was computed for: instrument, sky, antenna and arms, with their hashes (docs/formats/sky-power.md).
 
 ARM_TOLERANCE_DEG = 1e-6
 SHORTEST_SMEARED_H = 10.0 / 3600

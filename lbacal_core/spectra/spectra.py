@@ -1,4 +1,4 @@
-"""Background spectra: what one antenna's dipole measured in one event, and their file (docs/formats.md)."""
+"""Background spectra: what one antenna's dipole measured in one event, and their file (docs/formats/spectra.md)."""
 
 from __future__ import annotations
 

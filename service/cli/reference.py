@@ -21,25 +21,21 @@ from service.config import Settings
 DOCS = Path(__file__).parents[2] / "docs"
 
 _COMMANDS = """# Commands
-Written by `./dev docs` from the commands themselves: do not edit. Every command exits with 0 when it is done, 1 when
-the work failed, and 2 on bad usage or bad input, with one sentence on standard error that names the place, what was
-expected and what was found. `fit`, `investigate`, `lst-curve`, `sky-power` and `spectra` need the extra `fit`, `paper`
-that of its name; `serve`, `scheduler`, `worker`, `db` and `keys` need `server` ([how to install](how-to/install.md)).
+Written by `./dev docs` from the commands themselves: do not edit. `lbacal COMMAND --help` says what each option means
+and what it is by default; a star marks what is required. Every command exits with 0 when it is done, 1 when the work
+failed, and 2 on bad usage or bad input, with one sentence on standard error. `fit`, `investigate`, `lst-curve`,
+`sky-power` and `spectra` need the extra `fit`, `paper` that of its name; `serve`, `scheduler`, `worker`, `db` and
+`keys` need `server` ([how to install](how-to/install.md)).
 """
 _SETTINGS = """# Settings
 Written by `./dev docs` from `service/config.py` and `lbacal/settings.py`: do not edit. Each setting is an environment
 variable; one that begins with `LBACAL_` and is not in this list is refused by every command.
 
-| setting | meaning | default |
-|---|---|---|
 """
 _CAUSES = """# Causes
 Written by `./dev docs` from `lbacal_core/causes/`: do not edit. What `lbacal investigate` looks for: mechanisms that
 may make a simulation wrong, with the unit of their size, the templates that a search tries, and how other means could
 confirm them. [How it searches](explanation/what-the-simulation-gets-wrong.md), [how to add one](how-to/add-a-cause.md).
-
-| cause | meaning | unit of its size |
-|---|---|---|
 """
 
 
@@ -56,30 +52,29 @@ def describe_settings() -> str:
         default = "required" if field.default is PydanticUndefined else field.default
         rows[f"LBACAL_{name.upper()}"] = (field.description or "", "none" if default is None else str(default))
     rows |= {name: row for name, row in CLIENT_SETTINGS.items() if name not in rows}
-    return _SETTINGS + "".join(f"| `{name}` | {text} | {default} |\n" for name, (text, default) in rows.items())
+    return _SETTINGS + "".join(f"- `{name}`: {text} (={default})\n" for name, (text, default) in rows.items())
 
 
 def describe_causes() -> str:
     """The content of docs/causes.md."""
     causes: list[Cause | AntennaCause] = sorted((*CAUSES, *ANTENNA_CAUSES), key=lambda one: one.identifier)
-    rows = [f"| [`{c.identifier}`](#{c.identifier}) | {c.meaning} | {c.unit} |\n" for c in causes]
-    return _CAUSES + "".join(rows) + "".join(_describe_cause(cause) for cause in causes)
+    return _CAUSES + "".join(_describe_cause(cause) for cause in causes)
 
 
 def _describe_cause(cause: Cause | AntennaCause) -> str:
     kind = type(cause)
-    does, tried = ("act", "templates") if isinstance(cause, Cause) else ("", "templates")
-    lines = {
-        "Mechanism": _first_line(kind),
-        "What it does": _first_line(getattr(kind, does)) if does else "",
-        "Templates tried": "" if getattr(kind, tried) is Cause.templates else _first_line(getattr(kind, tried)),
-        "Concerns": ", ".join(cause.scopes),
-        "Acts along": ", ".join(cause.axes),
-        "How to confirm": cause.confirm,
-        "Not shown by data with": cause.needs,
-    }
-    text = "".join(f"- {name}: {value}\n" for name, value in lines.items() if value)
-    return f"\n## {cause.identifier}\n{cause.meaning[0].upper()}{cause.meaning[1:]} ({cause.unit}).\n\n{text}"
+    is_one_of_several = sum(type(one) is kind for one in (*CAUSES, *ANTENNA_CAUSES)) > 1
+    says = f"{cause.meaning[0].upper()}{cause.meaning[1:]}" if is_one_of_several else _first_line(kind).rstrip(".")
+    does = f" {_first_line(cause.act)}" if isinstance(cause, Cause) else ""
+    tried = "" if kind.templates is Cause.templates else _first_line(kind.templates)
+    lines = (
+        f"Templates: {tried}" if tried else "",
+        f"Targets: {', '.join(cause.scopes)}. Axes: {', '.join(cause.axes)}.",
+        f"To confirm: {cause.confirm}.",
+        f"Not shown where: {cause.needs}." if cause.needs else "",
+    )
+    text = "".join(f"- {line}\n" for line in lines if line)
+    return f"\n## {cause.identifier}\n{says} ({cause.unit}).{does}\n{text}"
 
 
 def _first_line(thing: Any) -> str:
@@ -93,34 +88,27 @@ def _describe(path: list[str], command: Any) -> Iterator[str]:
     for paragraph in inspect.cleandoc(command.help or "").split("\n\n"):
         text = " ".join(paragraph.split())
         example = text.removeprefix("Example: ")
-        yield f"{text}\n\n" if example == text else f"Example: `{example}`\n\n"
-    rows = [_describe_parameter(p) for p in command.params if "--help" not in p.opts]
-    if rows:
-        yield "| argument or option | meaning | default |\n|---|---|---|\n"
-        yield from rows
+        yield f"{text}\n\n" if example == text else f"`{example}`\n\n"
+    options = ", ".join(_name_option(one) for one in command.params if not _is_argument(one) and one.name not in OF_ALL)
+    yield f"Options: {options}\n" if options else ""
     for name, one in getattr(command, "commands", {}).items():
         yield from _describe([*path, name], one)
+
+
+OF_ALL = ("help", "install_completion", "show_completion")
+"""Options that say nothing of a command."""
 
 
 def _is_argument(parameter: Any) -> bool:
     return not parameter.opts[0].startswith("-")
 
 
-def _describe_parameter(parameter: Any) -> str:
-    name = parameter.name.upper() if _is_argument(parameter) else " / ".join(parameter.opts + parameter.secondary_opts)
+def _name_option(parameter: Any) -> str:
+    """The option, its choices where it has some, and a star where it is required."""
     kind = parameter.type_descriptor.annotation
-    choices = f" One of {', '.join(kind)}." if isinstance(kind, type) and issubclass(kind, StrEnum) else ""
-    return f"| `{name}` | {parameter.help or ''}{choices} | {_default(parameter)} |\n"
-
-
-def _default(parameter: Any) -> str:
-    if parameter.required:
-        return "required"
-    value = parameter.default
-    if value is None or value is False or value == ():
-        return ""
-    value = getattr(value, "value", value)
-    return " ".join(map(str, value)) if isinstance(value, tuple | list) else str(value)
+    is_choice = isinstance(kind, type) and issubclass(kind, StrEnum)
+    choices = f" {'|'.join(kind)}" if is_choice else ""
+    return f"`{' / '.join(parameter.opts + parameter.secondary_opts)}{choices}`{'*' if parameter.required else ''}"
 
 
 def main() -> None:

@@ -192,7 +192,7 @@ class Fitted(Answer):
 
 
 class CurveAnswer(PathAnswer):
-    """A curve as in fit.json (docs/formats.md), which may hold more fields than these."""
+    """A curve as in fit.json (docs/formats/fit-report.md), which may hold more fields than these."""
 
     model_config = ConfigDict(strict=True, extra="allow")
 

@@ -19,23 +19,21 @@ IMAGES = code.ROOT / "docs" / "images"
 
 INTRODUCTION = """\
 # Validation
-What `lbacal` claims of itself, and what was found when it was tried: on simulated data, by killing its processes, and
-on what has been published. `./dev prove NAME` runs a proof, keeps what it gave in
-[`validation/records`](../validation/records) and writes this page; nothing here is typed by hand. Sentences and limits
-stand in [`claims.toml`](../validation/claims.toml).
+What `lbacal` claims of itself, and what was found. `./dev prove NAME` runs a proof, keeps what it gave in
+[`validation/records`](../validation/records) and writes this page; sentences and limits stand in
+[`claims.toml`](../validation/claims.toml).
 
-A claim is decided by the interval of its figure against what is asked. **Shown**: the whole interval is within what is
-asked. **Refuted**: none of it is. **Undecided**: it reaches over the limit. **Measured**: nothing is asked. Every block
-of seeds is entered in the [ledger](../validation/ledger.jsonl), and the entry committed, before its first trial; blocks
-counts them, whatever became of them. The k-th block is judged at a confidence of 1 - 0.05 · 6/(π²k²), so that all
-intervals of a part hold together in 95 %. *Holds* says whether the finder says of the
-[frozen data sets](../validation/frozen) what it said when the record was made. n counts independent trials. The rows
-are the main claims, which each proof names itself (`headlines`); all others are in the records, and whatever is refuted
-or undecided, a row or not, is said at the end.
+The interval of a figure decides ([how](explanation/how-discovery-is-proven.md#when-a-claim-is-shown)). **Shown**: all
+of it is within what is asked. **Refuted**: none is. **Undecided**: it reaches over the limit. **Measured**: nothing is
+asked. Blocks counts those in the [ledger](../validation/ledger.jsonl), whatever became of them. *Holds*: the finder
+says of the [frozen data sets](../validation/frozen) what it said then. n counts independent trials. The rows are the
+main claims of each proof (`headlines`); what else is refuted or undecided stands at the end.
 """
 TABLE = ("| claim | asked | found (interval) | n | verdict | proof | blocks | commit | holds |", "|" + "---|" * 9)
+PROOFS = "`./dev prove` without a name says what each proof is. Hours of one core: "
 TOLD_BELOW = """\
-By part of a proof, refuted claims in full and undecided ones by their names in the record:
+By part of a proof, refuted claims in full and undecided ones that are no row by their
+names in the record, with (low..high):
 """
 LIMITS = """\
 - The twin that makes the data is ours. It shares no code with what is tested, but its author has read both: a fault of
@@ -61,14 +59,14 @@ def write_page(records: Iterable[Record], history: Sequence[Record], entries: Se
         if _is_headline(claim, one)
     ]
     proofs = [_introduce(proof, own) for proof, own in by_proof.items()]
-    lines = [INTRODUCTION, *TABLE, *rows, "", "## The proofs", "", *proofs, ""]
+    lines = [INTRODUCTION, *TABLE, *rows, "", f"{PROOFS}{', '.join(proofs)}.", ""]
     for proof in by_proof:
         images: dict[str, str] = getattr(importlib.import_module(f"validation.{proof}"), "IMAGES", {})
         lines += [
             line for name in images if (IMAGES / name).is_file() for line in (f"![{images[name]}](images/{name})", "")
         ]
     lines += ["## What is not shown", "", LIMITS.rstrip(), "", TOLD_BELOW, *_open_claims(by_proof), ""]
-    lines += ["## Entered, no result", "", *map(_tell_entry, without_result([*records, *history], entries)), ""]
+    lines += ["## Entered, no result", "", *_tell_entries(without_result([*records, *history], entries)), ""]
     return "\n".join(lines)
 
 
@@ -80,17 +78,17 @@ def renew_page() -> Path:
     return path
 
 
-def _tell_entry(entry: Entry) -> str:
-    return (
-        f"- {name_of(entry.proof, entry.part)}: seeds {entry.first} to {entry.block.end - 1}, entered on "
-        f"{entry.entered_at[:10]} at {entry.commit}."
-    )
+def _tell_entries(entries: Iterable[Entry]) -> list[str]:
+    """A line a part: its blocks without a result, and when they were entered."""
+    blocks: dict[str, list[str]] = {}
+    for one in entries:
+        told = f"seeds {one.first} to {one.block.end - 1} ({one.entered_at[:10]}, {one.commit})"
+        blocks.setdefault(name_of(one.proof, one.part), []).append(told)
+    return [f"- {name}: {', '.join(told)}." for name, told in blocks.items()]
 
 
 def _introduce(proof: str, records: Sequence[Record]) -> str:
-    title = (importlib.import_module(f"validation.{proof}").__doc__ or proof).strip().partition("\n\n")[0]
-    hours = sum(record.hours for record in records)
-    return f"- `{proof}`: {' '.join(title.split())} ({hours:.2g} hours of one core)"
+    return f"`{proof}` {sum(record.hours for record in records):.2g}"
 
 
 def _is_headline(claim: Claim, record: Record) -> bool:
@@ -124,7 +122,7 @@ def tell_change(claim: Claim, record: Record, history: Sequence[Record]) -> str:
 
 
 def _open_claims(by_proof: Mapping[str, Sequence[Record]]) -> list[str]:
-    """What is not shown: a line a proof and part, its refuted claims in full, its undecided ones by their keys."""
+    """What is not shown: a line a part, its refuted claims in full, its other undecided ones by their keys."""
     lines = []
     for record in (one for records in by_proof.values() for one in records):
         told = [
@@ -134,8 +132,9 @@ def _open_claims(by_proof: Mapping[str, Sequence[Record]]) -> list[str]:
         ]
         open_keys: dict[str, list[str]] = {}
         for claim in record.claims:
-            if claim.verdict == UNDECIDED:
-                open_keys.setdefault(claim.words_asked, []).append(f"`{claim.key}` {claim.words_found}")
+            if claim.verdict == UNDECIDED and not _is_headline(claim, record):
+                interval = claim.words_found.replace(" to ", "..")
+                open_keys.setdefault(claim.words_asked, []).append(f"`{claim.key}` {interval}")
         told += [f"undecided, asked {asked}: {', '.join(keys)}" for asked, keys in open_keys.items()]
         if told:
             lines.append(f"- {record.name}: {'; '.join(told)}.")

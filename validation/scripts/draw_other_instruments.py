@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import warnings
 from pathlib import Path
@@ -90,15 +91,16 @@ def read_rs509(data: Path) -> tuple[Spectra, Instrument, Floats]:
 
 
 def tabulate_audit(report: AuditReport) -> list[str]:
-    rows = ((line.verdict, line.check, _shorten(line.sentence)) for line in report.lines)
+    """What is wrong, line by line, and in one row all that one spectrum a path leaves open."""
+    wrong = [(one.verdict, one.check, _shorten(one.sentence)) for one in report.lines if one.verdict != "undecided"]
+    left = ", ".join(one.check for one in report.lines if one.verdict == "undecided")
+    rows = [*wrong, ("undecided", left, "one spectrum a path does not tell; some hours would")]
     return write_table(["verdict", "check", "what is said"], rows)
 
 
 def _shorten(sentence: str) -> str:
-    """Long lists of antennas by their ends."""
-    head, found, tail = sentence.partition(" antennas ")
-    numbers, more, rest = tail.partition("; ")
-    return sentence if numbers.count(",") < len(COLOURS) + 3 else f"{head}{found}{numbers[:20]}…{more}{rest}"
+    """The sentence without what stands in brackets."""
+    return re.sub(r" \([^)]*\)", "", sentence)
 
 
 def read_edges(data: Path) -> dict[str, Floats]:
