@@ -47,7 +47,7 @@ class Kind:
     words, equation
         How a sentence says it, and its symbol, with the numbers in braces.
     steps
-        Steps of the numbers on that grid, for a finer one; 0 where a number stays.
+        Steps of the numbers on that grid, for a finer one; shares of the band where they are MHz, 0 where one stays.
     gates
         Whether it is 0 or 1, so that a product with it says *only when*.
     """
@@ -68,10 +68,20 @@ def _once(_: Conditions) -> list[tuple[()]]:
     return [()]
 
 
-def _every(conditions: Conditions, spacing_mhz: float) -> list[float]:
-    """Frequencies of the band at a spacing."""
-    low, high = conditions.frequency_mhz[[0, -1]]
-    return [float(one) for one in np.arange(low + spacing_mhz, high - 0.5 * spacing_mhz, spacing_mhz)]
+def _span(conditions: Conditions) -> float:
+    """Width of the band, MHz."""
+    return float(np.ptp(conditions.frequency_mhz))
+
+
+def _inside(conditions: Conditions, parts: int) -> list[float]:
+    """Frequencies that divide the band into equal parts, MHz."""
+    low, high = (float(one) for one in conditions.frequency_mhz[[0, -1]])
+    return [float(f"{one:.4g}") for one in np.linspace(low, high, parts + 1)[1:-1]]
+
+
+def _widths(conditions: Conditions, share: float) -> float:
+    """A share of the band, MHz."""
+    return float(f"{share * _span(conditions):.3g}")
 
 
 def _indices(conditions: Conditions) -> list[tuple[float, float]]:
@@ -90,12 +100,12 @@ def _slope_of(curve: Floats, conditions: Conditions) -> Floats:
     return np.asarray(np.gradient(np.log(curve), conditions.frequency_mhz))
 
 
-def _edge(frequency: Floats, edge_mhz: float) -> Floats:
-    return np.asarray(1.0 / (1.0 + np.exp((frequency - edge_mhz) / EDGE_MHZ)))
+def _edge(away_mhz: Floats, width_mhz: float) -> Floats:
+    return np.asarray(1.0 / (1.0 + np.exp(away_mhz / width_mhz)))
 
 
-EDGE_MHZ = 1.5
-"""Width over which a law ends at an edge: filters of the field fall within some MHz."""
+EDGE = 0.03
+"""Share of the band within which a law ends at an edge: filters of the field fall within some MHz of 50."""
 
 LAWS: dict[str, Kind] = {
     "flat": Kind(lambda c: np.ones(c.frequency_mhz.size), _once, "alike at all frequencies", "1"),
@@ -110,28 +120,31 @@ LAWS: dict[str, Kind] = {
     "tilt": Kind(_along_band, _once, "tilted along the band", "P1(ln nu)"),
     "band": Kind(
         lambda c, middle, width, power: np.exp(-0.5 * (np.abs(c.frequency_mhz - middle) / (0.5 * width)) ** power),
-        lambda c: [*product(_every(c, 4.0), (5.0,), (4, 2)), *product(_every(c, 8.0), (12.0,), (4, 2))],
+        lambda c: [
+            *product(_inside(c, 12), (_widths(c, 0.1),), (4, 2)),
+            *product(_inside(c, 6), (_widths(c, 0.24),), (4, 2)),
+        ],
         "in {1:g} MHz about {0:g} MHz",
         "exp(-|nu - {0:g} MHz|^{2:g} / 2 ({1:g} MHz / 2)^{2:g})",
-        (4.0, 4.0, 0.0),
+        (1 / 12, 1 / 12, 0.0),
     ),
     "below": Kind(
-        lambda c, edge: _edge(c.frequency_mhz, edge),
-        lambda c: [(edge,) for edge in _every(c, 6.0)],
+        lambda c, edge, width: _edge(c.frequency_mhz - edge, width),
+        lambda c: list(product(_inside(c, 8), (_widths(c, EDGE),))),
         "below {0:g} MHz",
-        "edge(nu < {0:g} MHz)",
-        (6.0,),
+        "1 / (1 + exp((nu - {0:g} MHz) / {1:g} MHz))",
+        (1 / 8, EDGE),
     ),
     "above": Kind(
-        lambda c, edge: _edge(-c.frequency_mhz, -edge),
-        lambda c: [(edge,) for edge in _every(c, 6.0)],
+        lambda c, edge, width: _edge(edge - c.frequency_mhz, width),
+        lambda c: list(product(_inside(c, 8), (_widths(c, EDGE),))),
         "above {0:g} MHz",
-        "edge(nu > {0:g} MHz)",
-        (6.0,),
+        "1 / (1 + exp(({0:g} MHz - nu) / {1:g} MHz))",
+        (1 / 8, EDGE),
     ),
     "ripple": Kind(
         lambda c, delay_us, turns: np.cos(2.0 * np.pi * (delay_us * c.frequency_mhz - turns)),
-        lambda _: list(product((0.05, 0.1, 0.15, 0.2, 0.3, 0.4), (0.0, 0.25))),
+        lambda c: list(product((float(f"{one / _span(c):.3g}") for one in (2.5, 5, 7.5, 10, 15, 20)), (0.0, 0.25))),
         "as a ripple with a delay of {0:g} µs",
         "cos 2 pi ({0:g} µs nu - {1:g})",
         (0.05, 0.25),
@@ -271,7 +284,7 @@ COURSES: dict[str, Kind] = {
     "between": Kind(
         lambda c, begin, days: c.after(_unix(begin))[:, 0] - c.after(_unix(begin) + days * DAY_S)[:, 0],
         lambda c: (
-            [(_instant(at), days) for days in (10.0, 20.0, 40.0, 80.0) for at in c.step_dates(36)]
+            [(_instant(at), days) for days in (10.0, 20.0, 40.0, 90.0) for at in c.step_dates(36)]
             if c.has_dates
             else []
         ),
@@ -414,6 +427,16 @@ def axis_of(course: Form) -> str:
     return found if isinstance(found, str) else f"date, period {found:g} d"
 
 
+def rough_laws(conditions: Conditions) -> list[Form]:
+    """Laws with which all courses are tried first; those by which sentences are noticed come first."""
+    low, high = (float(one) for one in conditions.frequency_mhz[[0, -1]])
+    at = _inside(conditions, 5)
+    wide, edge = _widths(conditions, 0.24), _widths(conditions, EDGE)
+    noticed: list[Form] = [("flat",), ("power", -2.0, low), ("power", 2.0, high), ("below", at[0], edge)]
+    noticed.append(("band", at[2], wide, 2))
+    return [*noticed, ("tilt",), ("band", at[1], wide, 2), ("resonance",), ("filter",)]
+
+
 def list_laws(conditions: Conditions) -> list[Form]:
     """Every law that a search of these data tries."""
     return [(name, *numbers) for name, kind in LAWS.items() for numbers in kind.grid(conditions)]
@@ -428,6 +451,10 @@ FINER = (-0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75)
 """Parts of a step of the grid by which a number is moved on a finer one."""
 
 
+IN_MHZ = ("band", "below", "above")
+"""Laws whose numbers are frequencies."""
+
+
 def finer(kinds: Mapping[str, Kind], form: Form, conditions: Conditions) -> list[Form]:
     """Forms about one that was found, itself the first."""
     if form[0] == PRODUCT:
@@ -438,9 +465,10 @@ def finer(kinds: Mapping[str, Kind], form: Form, conditions: Conditions) -> list
     if form[0] in ("step", "between"):
         moved += [(form[0], _instant(at), *form[2:]) for at in conditions.dates_about(_unix(form[1]))]
     moved += [(*form[:2], level) for level in _levels(conditions, form)]
+    unit = _span(conditions) if form[0] in IN_MHZ else 1.0
     for k, step in enumerate(kinds[form[0]].steps, start=1):
         for part in FINER if step else ():
-            value = form[k] + part * step / (form[2] if form[0] == "wave" else 1.0)
+            value = form[k] + part * step * unit / (form[2] if form[0] == "wave" else 1.0)
             moved.append((*form[:k], float(f"{value:.10g}"), *form[k + 1 :]))
     low, high = conditions.frequency_mhz[[0, -1]]
     return [form, *(one for one in dict.fromkeys(moved) if one != form and _is_sensible(one, low, high))]
@@ -448,7 +476,7 @@ def finer(kinds: Mapping[str, Kind], form: Form, conditions: Conditions) -> list
 
 def _is_sensible(form: Form, low_mhz: float, high_mhz: float) -> bool:
     if form[0] in ("below", "above"):
-        return bool(low_mhz + 2 * EDGE_MHZ < form[1] < high_mhz - 2 * EDGE_MHZ)
+        return bool(form[2] > 0 and low_mhz + 2 * form[2] < form[1] < high_mhz - 2 * form[2])
     positive = {"band": 2, "near": 3, "hours": 2, "ripple": 1, "between": 2}
     return form[:2] != ("power", 0.0) and (form[0] not in positive or form[positive[form[0]]] > 0)
 

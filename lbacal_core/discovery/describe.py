@@ -29,6 +29,7 @@ from lbacal_core.causes.grammar import (
     list_laws,
     opposite,
     parts_of,
+    rough_laws,
     sentence,
 )
 from lbacal_core.discovery.findings import gain_in_chi_squared, refine
@@ -46,23 +47,9 @@ from lbacal_core.discovery.scan import Score, SpectralFamily, score_families, sc
 from lbacal_core.grids import Floats
 
 SENTENCE = Sentence()
-ROUGH: Sequence[Form] = (
-    ("flat",),
-    ("tilt",),
-    ("power", -2.0, 30.0),
-    ("power", 2.0, 80.0),
-    ("below", 40.0),
-    ("band", 50.0, 12.0, 2),
-    ("band", 60.0, 12.0, 2),
-    ("resonance",),
-    ("filter",),
-)
-"""Laws with which all courses are tried first."""
 NOTICED_AT: Sequence[str] = ("sky", "antenna", "front", "receiver", "converter")
-NOTICED_BY: Sequence[Form] = (
-    ("flat",), ("power", -2.0, 30.0), ("power", 2.0, 80.0), ("below", 40.0), ("band", 60.0, 12.0, 2)
-)  # fmt: skip
-"""Places and laws by which sentences are noticed: a second of one core for 12 antennas and 900 events."""
+NOTICED_BY = 5
+"""Places, and the number of laws, by which sentences are noticed: a second of one core for 12 antennas, 900 events."""
 LIKELY, KEPT, FITTED = 12, 6, 4
 """Courses that are tried with all laws, sentences from which products grow, and sentences fitted with the chain."""
 CERTAIN = 7.0
@@ -184,7 +171,9 @@ def notice(model: LinearModel, targets: Sequence[Target], alpha: float) -> Resid
     ideal SNR of 10 these do not show it. The description length counts every alternative, so that e to the minus
     log-odds bounds the probability of a false alarm (Bonferroni).
     """
-    rough = _score(model, targets[-1:], list(product(NOTICED_AT, NOTICED_BY)), list_courses(model.station.conditions))
+    conditions = model.station.conditions
+    laws = rough_laws(conditions)[:NOTICED_BY]
+    rough = _score(model, targets[-1:], list(product(NOTICED_AT, laws)), list_courses(conditions))
     best = max(rough, key=lambda one: one.gain)
     chance = float(np.exp(-0.5 * best.gain))
     if chance > min(alpha, np.exp(-CERTAIN)):
@@ -224,7 +213,7 @@ def _search(model: LinearModel, shown: Sequence[Target], policy: Policy) -> list
     """The likeliest sentences of different families."""
     conditions, whole = model.station.conditions, shown[-1:]
     courses = list_courses(conditions)
-    rough = _score(model, whole, list(product(PLACES, ROUGH)), courses)
+    rough = _score(model, whole, list(product(PLACES, rough_laws(conditions))), courses)
     likely = list(dict.fromkeys(parts_of(one.template)[2] for one in _best_of_families(rough)))[:LIKELY]
     single = _best_of_families(_score(model, whole, list(product(PLACES, list_laws(conditions))), likely))
     found = list(single)
