@@ -127,7 +127,7 @@ def try_composed(seed: int) -> Row:
 
 
 def _found(rows: Sequence[Row], prefix: str = "") -> list[Found]:
-    """Of all that could be planted: what is noticed, said, right in law and course, and right in place."""
+    """What, of all that could be planted, is noticed, said, right in law and course, and right in place."""
     made = [row for row in rows if row["verdict"]]
     said = [row for row in made if row["places"]]
 

@@ -268,11 +268,11 @@ class _Lengths:
         self._targets = targets
 
     def of_law(self, law: Form) -> float:
-        """Of place, law and target."""
+        """Length of place, law and target."""
         return float(2.0 * np.log(len(PLACES) * len(LAWS) * self._laws[law[0]] * self._targets))
 
     def of_course(self, course: Form) -> float:
-        """Of a course; a product is as long as both."""
+        """Length of a course; a product is as long as both."""
         if course[0] == PRODUCT:
             return self.of_course(course[1]) + self.of_course(course[2])
         return float(2.0 * np.log(len(COURSES) * self._courses[course[0]]))
