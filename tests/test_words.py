@@ -51,6 +51,8 @@ def test_no_docstring_and_no_comment_has_a_fragment_that_begins_with_of(reposito
 EXCEPTIONS = {
     "find_excess": "the excess power of an interference line",
     "find_station_excess": "the excess power of an interference line",
+    **dict.fromkeys(("law_of", "list_laws", "rough_laws"), "the law along frequency of a sentence"),
+    **dict.fromkeys(("course_of", "list_courses"), "the course in time of a sentence"),
 }
 """Names with a word that is not used, and what they mean."""
 
