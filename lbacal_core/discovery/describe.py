@@ -241,12 +241,12 @@ def _score(
             SpectralFamily(SENTENCE, [sentence(place, law, one) for one in alike], profiles) for place, law in spectra
         ]
         known = model.on_events(families[0].known_events(conditions))
-        of_course = np.array([length.of_course(one) for one in alike])
+        of_course = np.array([length.temporal(one) for one in alike])
         for batch, z, size in _scores(known, families, targets):
             for s, family in enumerate(batch):
                 worth = z[s] ** 2 - of_course
                 t, k = (int(at) for at in np.unravel_index(int(np.argmax(worth)), worth.shape))
-                whole = float(of_course[k] + length.of_law(parts_of(family.templates[k])[1]))
+                whole = float(of_course[k] + length.spectral(parts_of(family.templates[k])[1]))
                 found.append(_Scored(family.templates[k], targets[t], float(z[s, t, k]), float(size[s, t, k]), whole))
     return found
 
@@ -267,14 +267,14 @@ class _Lengths:
         self._courses = Counter(one[0] for one in list_courses(conditions))
         self._targets = targets
 
-    def of_law(self, law: Form) -> float:
+    def spectral(self, law: Form) -> float:
         """Length of place, law and target."""
         return float(2.0 * np.log(len(PLACES) * len(LAWS) * self._laws[law[0]] * self._targets))
 
-    def of_course(self, course: Form) -> float:
+    def temporal(self, course: Form) -> float:
         """Length of a course; a product is as long as both."""
         if course[0] == PRODUCT:
-            return self.of_course(course[1]) + self.of_course(course[2])
+            return self.temporal(course[1]) + self.temporal(course[2])
         return float(2.0 * np.log(len(COURSES) * self._courses[course[0]]))
 
 
