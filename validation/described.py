@@ -26,8 +26,12 @@ FIRST_SEED, LEFT_OUT_FROM, COMPOSED_FROM = 900_000_000, 950_000_000, 970_000_000
 LARGE, SMALL, LEFT_OUT = 25.0, 10.0, 15.0
 """Ideal SNR of the effects, in the half of the events that is used."""
 FIRST_SIZE, TRIES = 0.02, 10
+LEAST = 9.0
+"""Chi^2 of an effect in the other events below which nothing can be taken out: every fourth event is in one half alone."""
 ALIKE = 0.95
 """Correlation of two templates from which the law and the course are right."""
+FEWEST = 2
+"""Sentences of which more have a mean."""
 MOST = 3
 """Sentences among which the right one may be."""
 
@@ -93,7 +97,7 @@ def describe_hidden(seen: DataSet, planted: Planted | None, snr: float, kind: st
     return row | {
         "places": model.places[:MOST],
         "alike": [round(float(r), 4) for r in (information[0] / size[0] / size)[1:]],
-        "kept": round(1.0 - after / before, 4),
+        "kept": round(1.0 - after / before, 4) if before > LEAST else None,
     }
 
 
@@ -145,7 +149,8 @@ def _found(rows: Sequence[Row], prefix: str = "") -> list[Found]:
         rate("place", sum(is_right(row, 0) for row in said)),
         rate("place_in_set", sum(any(is_right(row, k) for k in range(len(row["places"]))) for row in said)),
     ]
-    return [*found, *([mean_of(f"{prefix}kept", np.array([row["kept"] for row in said]))] if len(said) > 2 else [])]
+    kept = np.array([row["kept"] for row in said if row["kept"] is not None])
+    return [*found, *([mean_of(f"{prefix}kept", kept)] if len(kept) > FEWEST else [])]
 
 
 def judge_unlisted(rows: Sequence[Row]) -> list[Found]:
