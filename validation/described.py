@@ -27,7 +27,7 @@ LARGE, SMALL, LEFT_OUT = 25.0, 10.0, 15.0
 """Ideal SNR of the effects, in the half of the events that is used."""
 FIRST_SIZE, TRIES = 0.02, 10
 LEAST = 9.0
-"""Chi^2 of an effect in the other events below which nothing can be taken out: every fourth event is in one half alone."""
+"""Chi^2 of an effect in the other events below which nothing can be taken out: some act in one half alone."""
 ALIKE = 0.95
 """Correlation of two templates from which the law and the course are right."""
 FEWEST = 2
