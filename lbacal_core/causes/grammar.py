@@ -624,6 +624,16 @@ def parts_of(template: Template) -> tuple[str, Form, Form]:
     return str(own["place"]), _as_form(own["law"]), _as_form(own["course"])
 
 
+def numbers_of(template: Template) -> int:
+    """How many numbers the law and the course of a sentence have."""
+
+    def count(form: Form) -> int:
+        return sum(count(one) if isinstance(one, tuple) else isinstance(one, int | float) for one in form)
+
+    _, law, course = parts_of(template)
+    return count(law) + count(course)
+
+
 def require_sentence(place: str, parameters: Mapping[str, Any]) -> None:
     """Refuse parameters that are no sentence.
 

@@ -25,6 +25,8 @@ from lbacal_core.calibration.chain_test import LIKELY_MISTAKE
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.calibration.windows import leave_out_changed, set_apart
 from lbacal_core.calibration.years import Beside
+from lbacal_core.causes.cause import Template
+from lbacal_core.causes.grammar import numbers_of
 from lbacal_core.causes.model import Model
 from lbacal_core.curves.covariance import compress_covariance
 from lbacal_core.curves.curves import CalibrationCurve, FitReport
@@ -279,13 +281,19 @@ def _with_common(curve: CalibrationCurve, common: Floats) -> CalibrationCurve:
     )
 
 
-def promise_of_structure(gain: Mapping[str, Any]) -> Promise:
-    """The gain that structure without a name promises for as many events again, adopted at its shrunk size.
+def promise_of_structure(structure: Mapping[str, Any]) -> Promise:
+    """The gain that structure without a name promises for as many events again, adopted as its sentence or its term.
 
     Its gain in chi^2 is G, of which d, the number of its terms, is noise: the term is adopted at s = 1 - d/G. Its true
     signal is (G - d)^1/2 standard deviations, along a term that is G^1/2 long, so that as many events gain
-    s (G - d) - s^2 G / 2 = (G - d)^2 / 2G, with the error s G^1/2.
+    s (G - d) - s^2 G / 2 = (G - d)^2 / 2G, with the error s G^1/2. A sentence is adopted at s = 1; its d is the size and
+    the numbers of its law and course.
     """
+    if structure.get("sentences"):
+        one = structure["sentences"][0]
+        found, terms = float(one["gain"]["chi2"]), 1 + numbers_of(Template(one["parameters"]))
+        return Promise(0.5 * found - terms, found**0.5)
+    gain = structure["gain"]
     found = float(gain["chi2"])
     share = 1.0 - gain["terms"] / found
     return Promise(0.5 * share**2 * found, share * found**0.5)

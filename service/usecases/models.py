@@ -136,7 +136,7 @@ class Models:
         finding = made.report["findings"][body.finding] if is_named else made.report["unexplained"]
         # a report gives its newest event to the second
         known_until = parse_instant("where.dates", finding["where"]["dates"][1]) + 1_000_000
-        promise = promise_of(finding) if is_named else promise_of_structure(finding["gain"])
+        promise = promise_of(finding) if is_named else promise_of_structure(finding)
         change = ModelChange(
             0, made.station, ADOPTED, model.id, before.id, Model((cause,)).id, _instant(cause.since_unix),
             _instant(cause.until_unix), known_until, made.id,

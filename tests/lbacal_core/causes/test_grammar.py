@@ -24,6 +24,7 @@ from lbacal_core.causes.grammar import (
     law_of,
     list_courses,
     list_laws,
+    numbers_of,
     opposite,
     parts_of,
     require_sentence,
@@ -167,6 +168,8 @@ def test_a_model_carries_a_sentence_as_text_and_back(conditions, terms):
         signature(SENTENCE, terms, conditions, read), signature(SENTENCE, terms, conditions, template)
     )
     assert "in 5 MHz about 58 MHz" in model.causes[0].sentence
+    assert numbers_of(read) == 3  # of the band
+    assert numbers_of(sentence("front", ("flat",), (PRODUCT, ("hours", 6.0, 3.0), ("night",)))) == 2
 
 
 @pytest.mark.parametrize(

@@ -91,7 +91,8 @@ def test_a_finding_is_told_by_its_own_hypothesis(monkeypatch):
     monkeypatch.setattr(findings, "average_size", lambda _last, number: number)
     hypotheses = [Hypothesis(None, Template({"k": k}), STATION, float(k)) for k in range(3)]
     without, last = SimpleNamespace(linear="linear"), SimpleNamespace(hypotheses=hypotheses)
-    found = findings._finding(without, last, 1, None, Policy())
+    search = SimpleNamespace(policy=Policy(), catalogue=())
+    found = findings._finding(without, last, 1, None, search)
     assert (found.hypothesis, found.over_noise, found.held_out_gain) == (hypotheses[1], 1, 5.0)
     assert all(hypotheses[1] in a or STATION in a for _, a in asked)
 

@@ -333,7 +333,7 @@ def test_structure_without_a_name_could_be_adopted_on_files_alone(
         jobs = [http.get(f"/v1/jobs/{number}").json() for number in made.json()["jobs"]]
         assert [(job["state"], job["gated"]) for job in jobs] == [("done", {})] * 6, "two years of three scopes"
         (line,) = http.get("/v1/models").json()["models"]
-        assert (line["finding"], line["causes"][0]["cause"]) == (None, "residual_structure")
+        assert (line["finding"], line["causes"][0]["cause"]) == (None, "sentence")
         (gain,) = line["causes"][0]["gains"]
         assert gain["since"].startswith("2015")
         promise, error = line["promise"]
