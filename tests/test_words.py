@@ -144,7 +144,7 @@ def test_the_code_knows_every_entry_of_the_glossary(repository: Path, tracked: l
     assert unknown == set()
 
 
-WORDS_OF_ALL_PAGES = 47_200
+WORDS_OF_ALL_PAGES = 47_700
 """README and docs together; 76,000 when each page told what another one had told. 40,000 is the aim."""
 
 

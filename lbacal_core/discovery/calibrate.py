@@ -286,8 +286,8 @@ def promise_of_structure(structure: Mapping[str, Any]) -> Promise:
 
     Its gain in chi^2 is G, of which d, the number of its terms, is noise: the term is adopted at s = 1 - d/G. Its true
     signal is (G - d)^1/2 standard deviations, along a term that is G^1/2 long, so that as many events gain
-    s (G - d) - s^2 G / 2 = (G - d)^2 / 2G, with the error s G^1/2. A sentence is adopted at s = 1; its d counts the size
-    and the numbers of its law and course.
+    s (G - d) - s^2 G / 2 = (G - d)^2 / 2G, with the error s G^1/2. A sentence is adopted at s = 1; its d counts the
+    size and the numbers of its law and course.
     """
     if structure.get("sentences"):
         one = structure["sentences"][0]
