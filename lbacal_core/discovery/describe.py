@@ -43,13 +43,13 @@ from lbacal_core.discovery.residual_structure import (
     find_structure,
     structure_along,
 )
-from lbacal_core.discovery.scan import Score, SpectralFamily, score_families, score_in_path
+from lbacal_core.discovery.scan import Score, SpectralFamily, score_families, score_in_means, score_in_path
 from lbacal_core.grids import Floats
 
 SENTENCE = Sentence()
 NOTICED_AT: Sequence[str] = ("sky", "antenna", "front", "receiver", "converter")
 NOTICED_BY = 5
-"""Places, and the number of laws, by which sentences are noticed: a second of one core for 12 antennas, 900 events."""
+"""Places, and the number of laws, by which sentences are noticed: a quarter of the cost of a scan of the catalogue."""
 LIKELY, KEPT, FITTED = 12, 6, 4
 """Courses that are tried with all laws, sentences from which products grow, and sentences fitted with the chain."""
 CERTAIN = 7.0
@@ -254,6 +254,9 @@ def _score(
 def _scores(
     model: LinearModel, families: Sequence[SpectralFamily], targets: Sequence[Target]
 ) -> list[tuple[Sequence[SpectralFamily], Floats, Floats]]:
+    """Scores of families: of one path or the station alone by what shows them, of several targets exactly."""
+    if len(targets) == 1 and targets[0].scope == "station":
+        return score_in_means(model, families)
     if len(targets) == 1 and targets[0].scope == "path":
         return score_in_path(model, families, int(np.flatnonzero(targets[0].is_member)[0]))
     return score_families(model, families, targets)

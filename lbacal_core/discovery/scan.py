@@ -412,6 +412,27 @@ def score_families(
     return found
 
 
+def score_in_means(
+    model: LinearModel, families: Sequence[SpectralFamily]
+) -> list[tuple[Sequence[SpectralFamily], Floats, Floats]]:
+    """As `score_families` for the station, by the means of its paths alone, which hold almost all of what it shows."""
+    everyone = np.ones(len(model.station.antenna), dtype=bool)
+    found: list[tuple[Sequence[SpectralFamily], Floats, Floats]] = []
+    for batch in batch_families(model.station.conditions, families, model.station.power[0].size):
+        shown = model.mean_of(FamilySpectra.of(model, batch).values, everyone)[:, None]
+        found.append((batch, *_score_alone(model.common, model.common.see(shown), batch[0].profiles)))
+    return found
+
+
+def _score_alone(view: View, templates: Seen | ChannelTemplates, profiles: Floats) -> tuple[Floats, Floats]:
+    """Scores in standard deviations and sizes of single templates in a view of one member, (family, 1, profile)."""
+    left, every = view.inner(templates, profiles)
+    is_left = left[:, 0, 0] > SMALLEST_SHARE * every[:, 0, 0]
+    known = np.where(is_left, left[:, 0, 0], np.inf)
+    score = view.score(templates, profiles)[:, 0]
+    return score / np.sqrt(known), score / known
+
+
 def score_in_path(
     model: LinearModel, families: Sequence[SpectralFamily], path: int
 ) -> list[tuple[Sequence[SpectralFamily], Floats, Floats]]:
@@ -424,11 +445,7 @@ def score_in_path(
     for batch in batch_families(model.station.conditions, families, model.station.power[0].size):
         spectra = FamilySpectra.of(model, batch)
         templates = spectra.in_view(view, spectra.values[:, c : c + 1], *ALONE)
-        left, every = view.inner(templates, batch[0].profiles)
-        is_left = left[:, 0, 0] > SMALLEST_SHARE * every[:, 0, 0]
-        known = np.where(is_left, left[:, 0, 0], np.inf)
-        score = view.score(templates, batch[0].profiles)[:, 0]
-        found.append((batch, score / np.sqrt(known), score / known))
+        found.append((batch, *_score_alone(view, templates, batch[0].profiles)))
     return found
 
 

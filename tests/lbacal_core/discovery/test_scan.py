@@ -8,7 +8,7 @@ from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import signature
 from lbacal_core.discovery.hypothesis import list_targets, p_of, sigma_of, trials_factor
 from lbacal_core.discovery.refit import fit_chain
-from lbacal_core.discovery.scan import list_families, scan, score_families, score_in_path
+from lbacal_core.discovery.scan import list_families, scan, score_families, score_in_means, score_in_path
 from lbacal_core.discovery.station import gather_stations
 from tests.lbacal_core.discovery.worlds import MOVING, p_value_of
 from validation.anywhere import investigate_drawn
@@ -219,6 +219,17 @@ def test_a_rival_that_describes_these_data_better_is_listed_though_more_template
     row = investigate_drawn(25)
     assert row["named"], row["said"]
     assert row["others"] == 0
+
+
+def test_the_means_alone_score_nearly_as_the_station(model):
+    conditions, station = model.station.conditions, list_targets(model.station)[-1:]
+    for name in ("gain_step", "solar_emission"):
+        families = list_families(conditions, [one for one in CAUSES if one.identifier == name])
+        exact = score_families(model, families, station)
+        for (_, z, size), (_, alone, size_alone) in zip(exact, score_in_means(model, families), strict=True):
+            assert alone.shape == z.shape
+            np.testing.assert_allclose(alone, z, atol=0.5)
+            np.testing.assert_allclose(alone / size_alone, z / size, rtol=0.15)
 
 
 def test_one_path_alone_scores_nearly_as_beside_the_means(model):
