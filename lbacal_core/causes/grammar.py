@@ -12,17 +12,19 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from inspect import signature
 from itertools import product
 from typing import Any
 
 import numpy as np
 
+from lbacal_core.causes.axes import DAY_S
 from lbacal_core.causes.cause import RAIN, SCOPES, TEMPERATURE, YEAR_S, Cause, Conditions, SizeRange, Template
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.chain import ChainTerms
+from lbacal_core.instrument.sidereal import SIDEREAL_DAY_S
 
-DAY_S = 86_400.0
 SIDEREAL, SOLAR, WEEK, YEAR = "LST", "UTC", "week", "year"
 ROTATION, LUNATION = "solar rotation", "lunation"
 PERIODS_D = {SOLAR: 1.0, WEEK: 7.0, ROTATION: 27.275, LUNATION: 29.5306, YEAR: 365.25}
@@ -269,7 +271,8 @@ def _instant(at_unix: float) -> str:
 
 
 def _unix(instant: str) -> float:
-    return datetime.fromisoformat(instant).timestamp()
+    at = datetime.fromisoformat(instant)
+    return (at if at.tzinfo else at.replace(tzinfo=UTC)).timestamp()
 
 
 COURSES: dict[str, Kind] = {
@@ -482,10 +485,10 @@ def _is_sensible(form: Form, low_mhz: float, high_mhz: float) -> bool:
 
 
 def is_of_dates(course: Sequence[Any]) -> bool:
-    """Whether a course is one of dates, which do not recur, or of the season: C changes within a window."""
+    """Whether a course is one of dates or of the number of an event, which do not recur, or of the season."""
     if course[0] == PRODUCT:
         return is_of_dates(course[1]) or is_of_dates(course[2])
-    return course[0] in ("step", "between", "ramp") or (course[0] in ("wave", "near") and course[1] == YEAR)
+    return course[0] in ("step", "between", "ramp", "every") or (course[0] in ("wave", "near") and course[1] == YEAR)
 
 
 # Places in the chain.
@@ -644,11 +647,29 @@ def require_sentence(place: str, parameters: Mapping[str, Any]) -> None:
     """
     try:
         template = Template(dict(parameters))
+        _, law, course = parts_of(template)
+        _check(LAWS, law)
+        _check(COURSES, course)
         in_words(template)
         as_equation(template)
     except (KeyError, IndexError, TypeError, ValueError) as error:
         names = f"a place of {', '.join(PLACES)}, a law of {', '.join(LAWS)}, and a course of {', '.join(COURSES)}"
         raise BadInputError(f"{place}: sentence", f"{names}, each with its numbers", repr(dict(parameters))) from error
+
+
+def _check(kinds: Mapping[str, Kind], form: Form) -> None:
+    """Raise where a form has not the numbers of its kind, or none that can be read."""
+    name, *numbers = form
+    if name == PRODUCT and kinds is COURSES:
+        _, one, other = form
+        _check(kinds, one)
+        _check(kinds, other)
+        return
+    signature(kinds[name].values).bind(None, *numbers)
+    if name in ("step", "between", "ramp"):
+        _unix(numbers[0])
+    if name == "wet" and numbers[0] not in ("flag", "saturating", "linear"):
+        raise ValueError(numbers[0])
 
 
 def _as_form(value: Sequence[Any]) -> Form:
@@ -694,7 +715,7 @@ def _say(kinds: Mapping[str, Kind], form: Form) -> str:
         return f"in {several} a {_CALLED[clock]}, highest at {_time_of(clock, highest % (1.0 / number))}"
     if name == "near":
         clock, middle, width = numbers
-        within = width * (SIDEREAL_DAY_D if clock == SIDEREAL else PERIODS_D[clock])
+        within = width * (SIDEREAL_DAY_S / DAY_S if clock == SIDEREAL else PERIODS_D[clock])
         said = f"{24.0 * within:.1f} h" if within < 1.0 else f"{within:.1f} d"
         return f"near {_time_of(clock, middle % 1.0)}, a Gaussian of {said}"
     return kinds[name].words.format(*numbers)
@@ -702,7 +723,6 @@ def _say(kinds: Mapping[str, Kind], form: Form) -> str:
 
 _CALLED = {SIDEREAL: "sidereal day", SOLAR: "UTC day"}
 _CALLED |= {name: name for name in (WEEK, YEAR, ROTATION, LUNATION)}
-SIDEREAL_DAY_D = 0.99727
 
 
 def _time_of(clock: str, turns: float) -> str:

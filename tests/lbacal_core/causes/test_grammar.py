@@ -102,6 +102,7 @@ def test_courses_are_what_they_say(conditions):
     at = "2014-07-01T00:00:00Z"
     after = np.array([datetime.fromtimestamp(one, UTC) >= datetime(2014, 7, 1, tzinfo=UTC) for one in time])
     np.testing.assert_array_equal(course_of(conditions, ("step", at)), after)
+    np.testing.assert_array_equal(course_of(conditions, ("step", at.removesuffix("Z"))), after)  # on any machine
     every = course_of(conditions, ("every", 5, 2))[np.argsort(time)]
     np.testing.assert_array_equal(np.flatnonzero(every), np.arange(2, 200, 5))
     away = np.abs((time / 86400 / 27.275 % 1.0) - 0.5)
@@ -181,6 +182,7 @@ def test_a_model_carries_a_sentence_as_text_and_back(conditions, terms):
         ((PRODUCT, ("day",), ("step", "2014-07-01T00:00:00Z")), True),
         (("wave", "week", 1, 0.2), False),
         (("day",), False),
+        (("every", 5, 2), True),
     ],
 )
 def test_what_follows_dates_is_a_change_and_no_part_of_a_model_of_one_c(course, is_expected):
@@ -204,6 +206,10 @@ def test_what_follows_dates_is_a_change_and_no_part_of_a_model_of_one_c(course, 
         {"course": ["hours", "six", 6.0]},
         {"course": []},
         {"law": None},
+        {"law": ["flat", 3.0]},
+        {"course": ["step", "yesterday"]},
+        {"course": ["wet", "damp"]},
+        {"course": ["product", ["day"]]},
     ],
 )
 def test_what_is_no_sentence_is_refused_with_what_one_is(wrong):
