@@ -45,7 +45,10 @@ def add(
 
     path = _required(file)
     content, number = read_report(report, "lbacal causes add")
-    made, known = NamedSentence.of(name, find_sentence(content, number)), read_own_causes(path)
+    made, known = (
+        NamedSentence.of(name, find_sentence(content, number)),
+        read_own_causes(path if path.exists() else None),
+    )
     if name in {one.identifier for one in known}:
         raise BadInputError("--name", f"a name that {path} does not have", name)
     with written_beside(path) as beside:

@@ -52,8 +52,8 @@ class NamedSentence(Sentence):
 
 
 def read_own_causes(path: Path | None) -> tuple[Cause, ...]:
-    """Read the causes of a file; none where there is no file."""
-    if path is None or not path.exists():
+    """Read the causes of a file; none where no file is named."""
+    if path is None:
         return ()
     place = f"causes {path}"
     try:

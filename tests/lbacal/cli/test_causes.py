@@ -52,6 +52,11 @@ def test_a_file_is_asked_for_where_none_is_named(lbacal):
     assert (code, "LBACAL_CAUSES" in why) == (2, True)
 
 
+def test_a_file_that_is_named_and_not_there_is_no_empty_one(lbacal, tmp_path):
+    code, _, why = lbacal("causes", "--file", tmp_path / "caues.json")
+    assert (code, "caues.json" in why) == (2, True)
+
+
 @pytest.mark.parametrize(
     ("content", "says"),
     [
