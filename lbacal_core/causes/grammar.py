@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from inspect import signature
-from itertools import product
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -233,16 +233,28 @@ def _column(conditions: Conditions, name: str, power: float, middle: float, scal
 
 
 def _sky(conditions: Conditions, low_mhz: float, high_mhz: float) -> Floats:
-    """Simulated power of the sky in a band over its mean, less 1."""
+    """Simulated power of the sky in a band over its mean, less 1.
+
+    Raises
+    ------
+    BadInputError
+        Where no channel lies in the band.
+    """
     frequency = conditions.frequency_mhz
     inside = (frequency >= low_mhz) & (frequency <= high_mhz)
+    if not inside.any():
+        found = f"{low_mhz:g}-{high_mhz:g} MHz"
+        raise BadInputError("sentence: sky", "a band in which these data have a channel", found)
     power = np.mean([sky[:, inside].mean(axis=1) for sky in conditions.sky_of.values()], axis=0)
     return np.asarray(power / power.mean() - 1.0)
 
 
 def _bands(conditions: Conditions) -> list[tuple[float, float]]:
-    low, high = (float(one) for one in conditions.frequency_mhz[[0, -1]])
-    return [(low, high), *((one, one + 10.0) for one in np.arange(low, high - 9.0, 10.0).tolist())]
+    """The whole band and its fifths, where they hold a channel."""
+    frequency = conditions.frequency_mhz
+    edges = np.linspace(frequency[0], frequency[-1], 6).round(6).tolist()
+    parts = [(edges[0], edges[-1]), *pairwise(edges)]
+    return [(low, high) for low, high in parts if np.any((frequency >= low) & (frequency <= high))]
 
 
 def _where_days(conditions: Conditions) -> list[tuple[()]]:

@@ -1,6 +1,7 @@
 """Sentences against the chain written out by hand, and every form against what it says of itself."""
 
 import json
+from dataclasses import replace
 from datetime import UTC, datetime
 
 import numpy as np
@@ -55,6 +56,17 @@ def test_every_kind_has_forms_with_values_words_and_an_equation(conditions):
     ]:
         template = sentence(place, law, course)
         assert "{" not in in_words(template) + as_equation(template)
+
+
+def test_a_band_without_a_channel_is_no_course_and_one_that_is_told_is_refused(conditions):
+    keep = (conditions.frequency_mhz < 40) | (conditions.frequency_mhz > 68)
+    sky = {dipole: power[:, keep] for dipole, power in conditions.sky_of.items()}
+    gap = replace(conditions, frequency_mhz=conditions.frequency_mhz[keep], sky_of=sky)
+    bands = [course for course in list_courses(gap) if course[0] == "sky"]
+    assert bands == [("sky", 30.0, 80.0), ("sky", 30.0, 40.0), ("sky", 60.0, 70.0), ("sky", 70.0, 80.0)]
+    assert all(np.all(np.isfinite(course_of(gap, one))) for one in bands)
+    with pytest.raises(BadInputError, match=r"a band in which these data have a channel, found 50-60 MHz"):
+        course_of(gap, ("sky", 50.0, 60.0))
 
 
 def test_a_place_acts_as_the_chain_written_out(conditions, terms):
