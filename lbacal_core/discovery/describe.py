@@ -7,32 +7,22 @@ are fitted with the chain, without linearising, and asked what they gain on unse
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import pairwise, product
 
 import numpy as np
 
-from lbacal_core.causes.cause import TEMPERATURE, Conditions, Template, signature
+from lbacal_core.causes.cause import TEMPERATURE, Conditions, signature
 from lbacal_core.causes.grammar import (
-    COURSES,
-    LAWS,
     PLACES,
-    PRODUCT,
-    Form,
-    Sentence,
     axis_of,
-    columns_of,
-    course_of,
     list_courses,
     list_laws,
-    opposite,
     parts_of,
     rough_laws,
-    sentence,
 )
-from lbacal_core.discovery.findings import gain_in_chi_squared, refine
+from lbacal_core.discovery.findings import gain_in_chi_squared
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
@@ -43,17 +33,21 @@ from lbacal_core.discovery.residual_structure import (
     find_structure,
     structure_along,
 )
-from lbacal_core.discovery.scan import Score, SpectralFamily, score_families, score_in_means, score_in_path
+from lbacal_core.discovery.scan import SpectralFamily, score_families
+from lbacal_core.discovery.sentences import (
+    CERTAIN,
+    SENTENCE,
+    ScoredSentence,
+    best_of_families,
+    likeliest_sentences,
+    refine_sentence,
+    score_gated,
+    score_sentences,
+)
 from lbacal_core.grids import Floats
 
-SENTENCE = Sentence()
-NOTICED_AT: Sequence[str] = ("sky", "antenna", "front", "receiver", "converter")
-NOTICED_BY = 5
-"""Places, and the number of laws, by which sentences are noticed: a quarter of the cost of a scan of the catalogue."""
 LIKELY, KEPT, FITTED = 12, 6, 4
 """Courses that are tried with all laws, sentences from which products grow, and sentences fitted with the chain."""
-CERTAIN = 7.0
-"""ln of the odds against chance from which a sentence is said: 1 in 1000, as for a cause of the catalogue."""
 RIVAL = 3.0
 """ln of the odds below which two sentences are rivals: 1 to 20."""
 FEWEST_ALIKE = 4
@@ -171,10 +165,7 @@ def notice(model: LinearModel, targets: Sequence[Target], alpha: float) -> Resid
     ideal SNR of 10 these do not show it. The description length counts every alternative, so that e to the minus
     log-odds bounds the probability of a false alarm (Bonferroni).
     """
-    conditions = model.station.conditions
-    laws = rough_laws(conditions)[:NOTICED_BY]
-    rough = _score(model, targets[-1:], list(product(NOTICED_AT, laws)), list_courses(conditions))
-    best = max(rough, key=lambda one: one.gain)
+    best = likeliest_sentences(model, targets[-1])[0]
     chance = float(np.exp(-0.5 * best.gain))
     if chance > min(alpha, np.exp(-CERTAIN)):
         return None
@@ -184,126 +175,21 @@ def notice(model: LinearModel, targets: Sequence[Target], alpha: float) -> Resid
 # The search: all courses with a few laws, all laws with the best courses, products of these, and finer numbers.
 
 
-@dataclass(frozen=True)
-class _Scored:
-    template: Template
-    target: Target
-    z: float
-    size: float
-    length: float
-
-    @property
-    def gain(self) -> float:
-        return self.z**2 - self.length
-
-    @property
-    def family(self) -> tuple[str, ...]:
-        """Target, place, and the names of law and course: what rivals differ by."""
-        place, law, course = parts_of(self.template)
-        return self.target.label, place, law[0], *_names(course)
-
-
-def _names(course: Form) -> tuple[str, ...]:
-    if course[0] == PRODUCT:
-        return (*_names(course[1]), *_names(course[2]))
-    return (course[0], str(course[1])) if course[0] in ("wave", "near", "column", "over", "under") else (course[0],)
-
-
-def _search(model: LinearModel, shown: Sequence[Target], policy: Policy) -> list[_Scored]:
+def _search(model: LinearModel, shown: Sequence[Target], policy: Policy) -> list[ScoredSentence]:
     """The likeliest sentences of different families."""
     conditions, whole = model.station.conditions, shown[-1:]
     courses = list_courses(conditions)
-    rough = _score(model, whole, list(product(PLACES, rough_laws(conditions))), courses)
-    likely = list(dict.fromkeys(parts_of(one.template)[2] for one in _best_of_families(rough)))[:LIKELY]
-    single = _best_of_families(_score(model, whole, list(product(PLACES, list_laws(conditions))), likely))
+    rough = score_sentences(model, whole, list(product(PLACES, rough_laws(conditions))), courses)
+    likely = list(dict.fromkeys(parts_of(one.template)[2] for one in best_of_families(rough)))[:LIKELY]
+    single = best_of_families(score_sentences(model, whole, list(product(PLACES, list_laws(conditions))), likely))
     found = list(single)
-    gates = [one for one in courses if COURSES[one[0]].gates or one[0] in ("near", "sky")]
     for one in single[:KEPT]:
-        place, law, course = parts_of(one.template)
-        together = [(PRODUCT, course, gate) for gate in gates if _names(gate) != _names(course)]
-        found += _score(model, shown, [(place, law)], [course, *together])
-    refined = [_refine(model, one, policy) for one in _best_of_families(found)[: 2 * KEPT]]
-    return _best_of_families(refined)[:FITTED]
+        found += score_gated(model, shown, one)
+    refined = [refine_sentence(model, one, policy) for one in best_of_families(found)[: 2 * KEPT]]
+    return best_of_families(refined)[:FITTED]
 
 
-def _score(
-    model: LinearModel, targets: Sequence[Target], spectra: Sequence[tuple[str, Form]], courses: Sequence[Form]
-) -> list[_Scored]:
-    """The best course for every place and law, with its target."""
-    conditions, found = model.station.conditions, list[_Scored]()
-    length = _Lengths(conditions, len(targets))
-    by_columns: dict[tuple[str, ...], list[Form]] = {}
-    for course in courses:
-        by_columns.setdefault(columns_of(course), []).append(course)
-    for alike in by_columns.values():
-        profiles = np.stack([course_of(conditions, one) for one in alike])
-        families = [
-            SpectralFamily(SENTENCE, [sentence(place, law, one) for one in alike], profiles) for place, law in spectra
-        ]
-        known = model.on_events(families[0].known_events(conditions))
-        of_course = np.array([length.temporal(one) for one in alike])
-        for batch, z, size in _scores(known, families, targets):
-            for s, family in enumerate(batch):
-                worth = z[s] ** 2 - of_course
-                t, k = (int(at) for at in np.unravel_index(int(np.argmax(worth)), worth.shape))
-                whole = float(of_course[k] + length.spectral(parts_of(family.templates[k])[1]))
-                found.append(_Scored(family.templates[k], targets[t], float(z[s, t, k]), float(size[s, t, k]), whole))
-    return found
-
-
-def _scores(
-    model: LinearModel, families: Sequence[SpectralFamily], targets: Sequence[Target]
-) -> list[tuple[Sequence[SpectralFamily], Floats, Floats]]:
-    """Scores of families: of one path or the station alone by what shows them, of several targets exactly."""
-    if len(targets) == 1 and targets[0].scope == "station":
-        return score_in_means(model, families)
-    if len(targets) == 1 and targets[0].scope == "path":
-        return score_in_path(model, families, int(np.flatnonzero(targets[0].is_member)[0]))
-    return score_families(model, families, targets)
-
-
-class _Lengths:
-    """Description lengths in chi^2: twice the ln of the number of alternatives at each choice."""
-
-    def __init__(self, conditions: Conditions, targets: int) -> None:
-        self._laws = Counter(one[0] for one in list_laws(conditions))
-        self._courses = Counter(one[0] for one in list_courses(conditions))
-        self._targets = targets
-
-    def spectral(self, law: Form) -> float:
-        """Length of place, law and target."""
-        return float(2.0 * np.log(len(PLACES) * len(LAWS) * self._laws[law[0]] * self._targets))
-
-    def temporal(self, course: Form) -> float:
-        """Length of a course; a product is as long as both."""
-        if course[0] == PRODUCT:
-            return self.temporal(course[1]) + self.temporal(course[2])
-        return float(2.0 * np.log(len(COURSES) * self._courses[course[0]]))
-
-
-def _best_of_families(scored: Sequence[_Scored]) -> list[_Scored]:
-    """The best of each family, the likeliest first."""
-    best: dict[tuple[str, ...], _Scored] = {}
-    for one in sorted(scored, key=lambda one: -one.gain):
-        best.setdefault(one.family, one)
-    return list(best.values())
-
-
-def _refine(model: LinearModel, one: _Scored, policy: Policy) -> _Scored:
-    """The same with the best numbers of law and course, of which one is moved at a time, and with a positive size."""
-    conditions = model.station.conditions
-    for _ in range(3):
-        template = refine(model, Score(SENTENCE, one.template, one.target, one.z, one.size, 0), policy).template
-        turned = opposite(template) if one.size < 0.0 else None
-        template = turned or template
-        family = SpectralFamily(SENTENCE, [template], SENTENCE.time_profile(conditions, template).T)
-        known = model.on_events(family.known_events(conditions))
-        ((_, z, size),) = score_families(known, [family], [one.target])
-        one = replace(one, template=template, z=z.item(), size=size.item())
-    return one
-
-
-def _fit(before: FittedModel, one: _Scored) -> tuple[Described, FittedModel] | None:
+def _fit(before: FittedModel, one: ScoredSentence) -> tuple[Described, FittedModel] | None:
     """The sentence fitted with the chain, and the model with it; None where no size fits."""
     after = refit(before, Hypothesis(SENTENCE, one.template, one.target, one.size))
     if after is None:

@@ -22,9 +22,11 @@ from lbacal_core.discovery.scan import (
     list_families,
     list_hidden,
     overlap,
+    refine,
     scan,
     score_families,
 )
+from lbacal_core.discovery.sentences import CERTAIN, SENTENCE, likeliest_sentences, refine_sentence, score_gated
 from lbacal_core.discovery.station import Station
 from lbacal_core.grids import Floats
 
@@ -121,6 +123,36 @@ class StationSearch:
         self.first_scores = self.first_scores or scores
         significant = [score for score in scores if score.p_value < self.alpha]
         self.has_significant |= bool(significant)
+        said = self._say(before, significant) if self.policy.judge == "compete" else None
+        named = self._name(before, significant, scores)
+        if said is None or (named and said.gain < named[0].gain + 2.0 * self.policy.likelier):
+            return named
+        self.again, self.impossible = None, None
+        return [said, *named]
+
+    def _say(self, before: FittedModel, significant: Sequence[Score]) -> Candidate | None:
+        """The model with a sentence, where it is likelier than every cause: for the station, or where the best acts."""
+        policy, linear, whole = self.policy, before.linear, self.targets[-1]
+        best = max(significant, key=_gain_beyond_chance, default=None)
+        asked = 2.0 * CERTAIN if best is None else max(_gain_beyond_chance(best), 0.0) + 2.0 * policy.likelier
+        targets = [whole] if best is None or best.target.scope == STATION else [whole, best.target]
+        likely = [one for target in targets for one in likeliest_sentences(linear, target)]
+        if best is not None:
+            likely = [refine_sentence(linear, one, policy) for one in likely]
+        one = max(likely, key=lambda one: one.gain)
+        if one.gain < max(asked, 2.0 * CERTAIN):
+            return None
+        one = refine_sentence(linear, max(score_gated(linear, [one.target], one), key=lambda one: one.gain), policy)
+        self.progress(f"{self.name}: fitting everything again with a sentence")
+        fitted = refit(before, Hypothesis(SENTENCE, one.template, one.target, one.size))
+        if fitted is None or not _is_possible(fitted):
+            return None
+        gain, chance = gain_in_chi_squared(before, fitted) - one.length, float(np.exp(0.5 * one.length))
+        events = int(before.station.is_used.sum())
+        return Candidate(Score(SENTENCE, one.template, one.target, one.z, one.size, events, chance), fitted, gain)
+
+    def _name(self, before: FittedModel, significant: Sequence[Score], scores: Sequence[Score]) -> list[Candidate]:
+        """The models with each of the best significant causes."""
         if significant:
             self.again = _same_again(significant[0], before.hypotheses, self.adopted)
         if not significant or self.again is not None or self._is_crowded(before):
@@ -153,6 +185,11 @@ class StationSearch:
     def held_out_gain(self, before: FittedModel, candidate: Candidate) -> float:
         """Gain in log-likelihood on events that were not used, the template chosen again."""
         return gain_of(before, candidate.model.hypotheses[-1], candidate.score)
+
+
+def _gain_beyond_chance(score: Score) -> float:
+    """Gain in chi^2 beyond what the best of all templates, targets and causes gains by chance."""
+    return score.z**2 - 2.0 * float(np.log(score.trials * score.causes))
 
 
 def _is_possible(model: FittedModel) -> bool:
@@ -199,38 +236,6 @@ def gain_in_chi_squared(before: FittedModel, after: FittedModel) -> float:
     of_means = linear.shows_in_means_alone(after.hypotheses[-1].target.is_member)
     by_event = [one.chi_squared_by_event(of_means=of_means) for one in (linear, linear.with_change(change))]
     return float(by_event[0].sum() - by_event[1].sum())
-
-
-def refine(model: LinearModel, score: Score, policy: Policy) -> Hypothesis:
-    """The hypothesis that a scan found, with the best template about the one tried, at the size to first order.
-
-    A scan tries hours, dates and indices on a grid; `refine` scores finer templates about the best one. Templates that
-    fit nearly as well have other sizes: the scatter of these sizes, weighed with the likelihoods, is part of the error.
-    """
-    cause = score.cause
-    conditions = model.station.conditions
-    templates = cause.finer_templates(conditions, score.template)
-    if len(templates) == 1:
-        return Hypothesis(cause, templates[0], score.target, score.size)
-    known = model.on_events(cause.known_events(conditions, score.template))
-    found, scores, sizes, strengths = [], [], [], []
-    for batch, z, size in score_families(known, group_templates(conditions, cause, templates), [score.target]):
-        profile = batch[0].profiles
-        strength = np.abs(profile).sum(axis=1) / np.maximum((profile != 0).sum(axis=1), 1)
-        found += [template for family in batch for template in family.templates]
-        scores.append(z[:, 0].ravel())
-        sizes.append(size[:, 0].ravel())
-        strengths.append(np.tile(strength, len(batch)))
-    gain, size = np.concatenate(scores) ** 2, np.concatenate(sizes)
-    # Power added at some hours and power missing at the others fit alike; power is added, so the size is positive.
-    if np.any(size > 0) and gain[size > 0].max() > gain.max() - policy.indistinguishable:
-        gain = np.where(size > 0, gain, 0.0)
-    best = int(np.argmax(gain))
-    # Sizes of different templates are compared by their mean effect on the events on which the template acts.
-    change = size * np.concatenate(strengths)
-    weight = np.exp(0.5 * (gain - gain[best])) * (np.sign(change) == np.sign(change[best]))
-    scatter = np.sqrt(weight @ (change / change[best] - 1.0) ** 2 / weight.sum())
-    return Hypothesis(cause, found[best], score.target, float(size[best]), template_sigma=float(scatter))
 
 
 def gain_of(before: FittedModel, hypothesis: Hypothesis, score: Score) -> float:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Literal
 
 from lbacal_core.calibration.chain_form import EXCLUDED, OPEN
+
+Judge = Literal["search", "compete"]
+"""How what a finding says is judged."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +42,11 @@ class Policy:
     beside_share
         Factor on the probability of a false alarm of causes beside a structure that was taken out: what its description
         leaves of it is no noise.
+    judge
+        ``search`` names the causes that chance does not explain; ``compete`` asks of each whether a sentence
+        (`causes.grammar`) that no cause says is likelier.
+    likelier
+        ln of the odds by which a sentence must be likelier than the likeliest cause: 20 to 1.
     hidden_share
         Share of the information of a cause that free differences between models leave, below which they hide it: it is
         then neither looked for nor named. They leave nothing of a slope of N_LNA and of an isotropic level, and 0.06
@@ -58,6 +66,8 @@ class Policy:
     stands_alpha: float = 0.001
     beside_share: float = 0.01
     hidden_share: float = 0.03
+    judge: Judge = "search"
+    likelier: float = 3.0
 
     @property
     def alpha_of_each_comparison(self) -> float:

@@ -22,7 +22,7 @@ from lbacal_core.discovery.describe import Described, Description
 from lbacal_core.discovery.findings import Finding, change_of_c
 from lbacal_core.discovery.hypothesis import Target, sigma_of
 from lbacal_core.discovery.pictures import picture_antenna, picture_finding, picture_record, picture_station
-from lbacal_core.discovery.policy import Policy
+from lbacal_core.discovery.policy import Judge, Policy
 from lbacal_core.discovery.residual_structure import ResidualStructure
 from lbacal_core.discovery.scan import Score
 from lbacal_core.discovery.search import StationReport, search_station
@@ -449,6 +449,7 @@ def investigate(
     *,
     seed: int = 0,
     progress: Callable[[str], None] = lambda _: None,
+    judge: Judge = Policy.judge,
 ) -> tuple[dict[str, Any], list[StationReport]]:
     """Find what the simulation gets wrong in the spectra of every station.
 
@@ -462,6 +463,8 @@ def investigate(
         Seed of the simulated trials factors.
     progress
         Called with a sentence before each step.
+    judge
+        ``search`` names causes that chance does not explain, ``compete`` those that are likelier than any sentence.
 
     Returns
     -------
@@ -469,7 +472,7 @@ def investigate(
     """
     name = f"instrument {simulation.instrument.name}"
     require_same_grid(spectra.origin, spectra.frequency_mhz, simulation.instrument.frequency_mhz, name)
-    policy = Policy()
+    policy = Policy(judge=judge)
     form = compare_forms(spectra, simulation)
     simulation = simulation.with_form(BEHIND if form.is_open(BEHIND) else PUBLISHED)
     known, model = simulation.differences, simulation.causes

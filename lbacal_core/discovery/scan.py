@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.causes.cause import Cause, Conditions, Template, spectral_signature
-from lbacal_core.discovery.hypothesis import Target, p_of, significance, trials_factor
+from lbacal_core.discovery.hypothesis import Hypothesis, Target, p_of, significance, trials_factor
+from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.view import (
     SMALLEST_EIGENVALUE,
@@ -555,3 +556,35 @@ def _count_trials(
         typical = Target("path", "path", model.station.class_of == largest)
         total += local * trials_factor(correlate(model, chosen, typical), seed, level)
     return copies * max(total, 1.0)
+
+
+def refine(model: LinearModel, score: Score, policy: Policy) -> Hypothesis:
+    """The hypothesis that a scan found, with the best template about the one tried, at the size to first order.
+
+    A scan tries hours, dates and indices on a grid; `refine` scores finer templates about the best one. Templates that
+    fit nearly as well have other sizes: the scatter of these sizes, weighed with the likelihoods, is part of the error.
+    """
+    cause = score.cause
+    conditions = model.station.conditions
+    templates = cause.finer_templates(conditions, score.template)
+    if len(templates) == 1:
+        return Hypothesis(cause, templates[0], score.target, score.size)
+    known = model.on_events(cause.known_events(conditions, score.template))
+    found, scores, sizes, strengths = [], [], [], []
+    for batch, z, size in score_families(known, group_templates(conditions, cause, templates), [score.target]):
+        profile = batch[0].profiles
+        strength = np.abs(profile).sum(axis=1) / np.maximum((profile != 0).sum(axis=1), 1)
+        found += [template for family in batch for template in family.templates]
+        scores.append(z[:, 0].ravel())
+        sizes.append(size[:, 0].ravel())
+        strengths.append(np.tile(strength, len(batch)))
+    gain, size = np.concatenate(scores) ** 2, np.concatenate(sizes)
+    # Power added at some hours and power missing at the others fit alike; power is added, so the size is positive.
+    if np.any(size > 0) and gain[size > 0].max() > gain.max() - policy.indistinguishable:
+        gain = np.where(size > 0, gain, 0.0)
+    best = int(np.argmax(gain))
+    # Sizes of different templates are compared by their mean effect on the events on which the template acts.
+    change = size * np.concatenate(strengths)
+    weight = np.exp(0.5 * (gain - gain[best])) * (np.sign(change) == np.sign(change[best]))
+    scatter = np.sqrt(weight @ (change / change[best] - 1.0) ** 2 / weight.sum())
+    return Hypothesis(cause, found[best], score.target, float(size[best]), template_sigma=float(scatter))

@@ -15,6 +15,7 @@ from lbacal_core.audit.record import RecordError
 from lbacal_core.causes.axes import Axis
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import Cause, Conditions, Template, signature
+from lbacal_core.causes.grammar import axis_of, parts_of
 from lbacal_core.causes.model import PLAIN, Model
 from lbacal_core.discovery.adopted import FittedSize, fit_adopted
 from lbacal_core.discovery.antennas import AntennaScore, compare_antennas, compare_cable_names, why_no_comparison
@@ -33,8 +34,10 @@ from lbacal_core.discovery.residual_structure import (
     chance_of_following,
     find_gain_waves,
     find_structure,
+    structure_along,
 )
 from lbacal_core.discovery.scan import Score, shares_taken
+from lbacal_core.discovery.sentences import SENTENCE
 from lbacal_core.discovery.single_events import share_of_channels
 from lbacal_core.discovery.station import SkyModes, Station
 from lbacal_core.grids import Floats
@@ -130,13 +133,17 @@ def search_station(
     first, search.adopted = adopted.model, len(adopted.sizes)
     grown = grow_findings(first, search)
     progress(f"{station.name}: looking for structure that no cause explains")
-    structure = _structure_beside(first, grown, search, np.random.default_rng(seed))
+    said = [one for one in grown.findings if one.hypothesis.cause == SENTENCE]
+    if said:
+        grown, structure = _name_structure(first, grown, said, search, np.random.default_rng(seed))
+    else:
+        structure = _structure_beside(first, grown, search, np.random.default_rng(seed))
     if structure is None and not grown.findings:
         structure = notice(grown.last.linear, targets, policy.structure_alpha / stations)
     last, similar = grown, list[Finding]()
     if structure is not None:
         withdrawn = _withdrawn(first.linear, grown.findings, structure, search.again, policy)
-        if structure.axis is not None and structure.vectors is not None and search.has_significant:
+        if not said and structure.axis is not None and structure.vectors is not None and search.has_significant:
             progress(f"{station.name}: looking for causes beside that structure")
             last = _grow_beside(first, structure.axis, structure.vectors, search)
             withdrawn = _withdrawn(first.linear, last.findings, structure, None, policy)
@@ -177,6 +184,21 @@ def search_station(
         description=description,
         catalogue=catalogue,
     )
+
+
+def _name_structure(
+    first: FittedModel, grown: Grown, said: Sequence[Finding], search: StationSearch, rng: np.random.Generator
+) -> tuple[Grown, ResidualStructure | None]:
+    """The model with its causes alone, and the structure that the likeliest of its sentences describes."""
+    kept = [number for number, one in enumerate(grown.findings) if all(one is not other for other in said)]
+    findings = [grown.findings[number] for number in kept]
+    named = Grown(_with(first, findings), [grown.others[number] for number in kept], findings)
+    best = max(said, key=lambda one: one.chi2_before - one.chi2_after)
+    chance, course = best.score.p_value, parts_of(best.hypothesis.template)[2]
+    structure = None
+    if best.hypothesis.target.scope == STATION:
+        structure = structure_along(named.last.linear, axis_of(course), chance)
+    return named, structure or find_structure(named.last.linear, rng, search.alpha, chance)
 
 
 def _grow_beside(first: FittedModel, axis: Axis, vectors: Floats, search: StationSearch) -> Grown:

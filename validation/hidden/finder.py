@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.discovery.adopted import find_members
 from lbacal_core.discovery.curve_search import describe_curve, investigate_curve
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
+from lbacal_core.discovery.policy import Judge, Policy
 from lbacal_core.discovery.refit import power_ratio
 from lbacal_core.discovery.report import investigate
 from lbacal_core.discovery.search import StationReport
@@ -24,6 +25,10 @@ from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.differences import DifferenceModels
 from lbacal_core.sky.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra
+
+Judged: TypeAlias = Judge
+SEARCH: Judged = Policy.judge
+"""The judge that is asked unless another is named."""
 
 
 @dataclass(frozen=True)
@@ -133,6 +138,7 @@ def ask_finder(
     seed: int,
     models: DifferenceModels | None = None,
     without: str = "",
+    judge: Judged = SEARCH,
 ) -> tuple[Answer, FittedModel | None]:
     """Ask what is hidden in the spectra of one station.
 
@@ -152,6 +158,7 @@ def ask_finder(
                 catalogue=[one for one in CAUSES if one.identifier != without],
             ),
             seed=seed,
+            judge=judge,
         )
     except (ArithmeticError, LookupError, ValueError) as error:
         return Answer(f"failed: {error}", [], None, []), None

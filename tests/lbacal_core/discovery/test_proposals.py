@@ -5,11 +5,11 @@ import pytest
 
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import Template, signature
-from lbacal_core.discovery.findings import gain_in_chi_squared, refine
+from lbacal_core.discovery.findings import gain_in_chi_squared
 from lbacal_core.discovery.hypothesis import list_targets
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.refit import fit_chain, refit
-from lbacal_core.discovery.scan import Score, scan
+from lbacal_core.discovery.scan import Score, refine, scan
 from lbacal_core.discovery.station import gather_stations
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.power import compute_sky_power

@@ -8,9 +8,9 @@ from scipy.stats import chi2
 
 from lbacal_core.causes.axes import AXES
 from lbacal_core.causes.cause import Template
-from lbacal_core.discovery import findings
+from lbacal_core.discovery import findings, scan
 from lbacal_core.discovery.antennas import Comparison, smooth_departures
-from lbacal_core.discovery.findings import Finding, StationSearch, refine
+from lbacal_core.discovery.findings import Finding, StationSearch
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
 from lbacal_core.discovery.noise import split_residuals
 from lbacal_core.discovery.policy import Policy
@@ -73,11 +73,11 @@ class FineCause:
 def test_the_best_template_has_a_positive_size_and_its_scatter_is_weighed(z, size, best, scatter, monkeypatch):
     family = SimpleNamespace(profiles=np.ones((3, 4)), templates=[Template({"at": k}) for k in range(3)])
     scores = [([family], np.reshape(z, (1, 1, 3)), np.reshape(size, (1, 1, 3)))]
-    monkeypatch.setattr(findings, "group_templates", lambda *_: None)
-    monkeypatch.setattr(findings, "score_families", lambda *_: scores)
+    monkeypatch.setattr(scan, "group_templates", lambda *_: None)
+    monkeypatch.setattr(scan, "score_families", lambda *_: scores)
     model = SimpleNamespace(station=SimpleNamespace(conditions=None), on_events=lambda _: None)
     score = SimpleNamespace(cause=FineCause(), template=Template({"at": 0}), target=STATION)
-    found = refine(model, score, Policy())
+    found = scan.refine(model, score, Policy())
     assert found.template.parameters == {"at": best}
     assert found.size == size[best]
     assert found.template_sigma == pytest.approx(scatter, abs=1e-8)

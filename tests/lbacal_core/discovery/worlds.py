@@ -20,7 +20,7 @@ from lbacal_core.causes.cause import Template, signature, spectral_signature
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.discovery import search
 from lbacal_core.discovery.antennas import AntennaScore, compare_antennas, compare_cable_names
-from lbacal_core.discovery.findings import change_of_c, find_indistinguishable, refine
+from lbacal_core.discovery.findings import change_of_c, find_indistinguishable
 from lbacal_core.discovery.hypothesis import Hypothesis, Target, list_targets
 from lbacal_core.discovery.noise import split_residuals
 from lbacal_core.discovery.policy import Policy
@@ -28,7 +28,7 @@ from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.refit import FittedModel, fit_chain, held_out_fold, held_out_gain, power_ratio, refit
 from lbacal_core.discovery.report import describe
 from lbacal_core.discovery.residual_structure import ResidualStructure, find_structure, strongest_structure
-from lbacal_core.discovery.scan import Score, group_templates, scan, score_families
+from lbacal_core.discovery.scan import Score, group_templates, refine, scan, score_families
 from lbacal_core.discovery.station import SkyModes, Station, gather_stations, model_modes
 from lbacal_core.discovery.view import SMALLEST_INFORMATION
 from lbacal_core.grids import Floats

@@ -1,0 +1,168 @@
+"""Sentences (`causes.grammar`) scored in residuals, with what the best of so many gains by chance."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from lbacal_core.causes.cause import Conditions, Template
+from lbacal_core.causes.grammar import (
+    COURSES,
+    LAWS,
+    PLACES,
+    PRODUCT,
+    Form,
+    Sentence,
+    columns_of,
+    course_of,
+    list_courses,
+    list_laws,
+    opposite,
+    parts_of,
+    rough_laws,
+    sentence,
+)
+from lbacal_core.discovery.hypothesis import Target
+from lbacal_core.discovery.policy import Policy
+from lbacal_core.discovery.project import LinearModel
+from lbacal_core.discovery.scan import Score, SpectralFamily, refine, score_families, score_in_means, score_in_path
+from lbacal_core.grids import Floats
+
+SENTENCE = Sentence()
+NOTICED_AT: Sequence[str] = ("sky", "antenna", "front", "receiver", "converter")
+NOTICED_BY = 5
+"""Places, and the number of laws, by which sentences are noticed: a quarter of the cost of a scan of the catalogue."""
+OTHER_GATES: Sequence[str] = ("near", "sky")
+"""Courses with which a product is tried beside those that are 0 or 1."""
+TRIED = 3
+"""Sentences whose numbers are moved before one is held against a cause."""
+CERTAIN = 7.0
+"""ln of the odds against chance from which a sentence is said: 1 in 1000, as for a cause of the catalogue."""
+
+
+@dataclass(frozen=True)
+class ScoredSentence:
+    """A sentence for a target, with its score and what the best of as many alternatives gains by chance, chi^2."""
+
+    template: Template
+    target: Target
+    z: float
+    size: float
+    length: float
+
+    @property
+    def gain(self) -> float:
+        """Gain in chi^2 beyond chance: twice the ln of its odds."""
+        return self.z**2 - self.length
+
+    @property
+    def family(self) -> tuple[str, ...]:
+        """Target, place, and the names of law and course: what rivals differ by."""
+        place, law, course = parts_of(self.template)
+        return self.target.label, place, law[0], *names_in(course)
+
+
+def likeliest_sentences(model: LinearModel, target: Target) -> list[ScoredSentence]:
+    """The likeliest sentences of different families for a target, of few laws and places and all courses."""
+    conditions = model.station.conditions
+    spectra = list(product(NOTICED_AT, rough_laws(conditions)[:NOTICED_BY]))
+    return best_of_families(score_sentences(model, [target], spectra, list_courses(conditions)))[:TRIED]
+
+
+def names_in(course: Form) -> tuple[str, ...]:
+    """Names of a course, of a product those of both, with what it follows."""
+    if course[0] == PRODUCT:
+        return (*names_in(course[1]), *names_in(course[2]))
+    return (course[0], str(course[1])) if course[0] in ("wave", "near", "column", "over", "under") else (course[0],)
+
+
+def score_sentences(
+    model: LinearModel, targets: Sequence[Target], spectra: Sequence[tuple[str, Form]], courses: Sequence[Form]
+) -> list[ScoredSentence]:
+    """The best course for every place and law, with its target."""
+    conditions, found = model.station.conditions, list[ScoredSentence]()
+    length = Lengths(conditions, len(targets))
+    by_columns: dict[tuple[str, ...], list[Form]] = {}
+    for course in courses:
+        by_columns.setdefault(columns_of(course), []).append(course)
+    for alike in by_columns.values():
+        profiles = np.stack([course_of(conditions, one) for one in alike])
+        families = [
+            SpectralFamily(SENTENCE, [sentence(place, law, one) for one in alike], profiles) for place, law in spectra
+        ]
+        known = model.on_events(families[0].known_events(conditions))
+        of_course = np.array([length.temporal(one) for one in alike])
+        for batch, z, size in _scores(known, families, targets):
+            for s, family in enumerate(batch):
+                worth = z[s] ** 2 - of_course
+                t, k = (int(at) for at in np.unravel_index(int(np.argmax(worth)), worth.shape))
+                template, own = family.templates[k], (float(z[s, t, k]), float(size[s, t, k]))
+                whole = float(of_course[k] + length.spectral(parts_of(template)[1]))
+                found.append(ScoredSentence(template, targets[t], *own, whole))
+    return found
+
+
+def _scores(
+    model: LinearModel, families: Sequence[SpectralFamily], targets: Sequence[Target]
+) -> list[tuple[Sequence[SpectralFamily], Floats, Floats]]:
+    """Scores of families: of one path or the station alone by what shows them, of several targets exactly."""
+    if len(targets) == 1 and targets[0].scope == "station":
+        return score_in_means(model, families)
+    if len(targets) == 1 and targets[0].scope == "path":
+        return score_in_path(model, families, int(np.flatnonzero(targets[0].is_member)[0]))
+    return score_families(model, families, targets)
+
+
+def score_gated(model: LinearModel, targets: Sequence[Target], one: ScoredSentence) -> list[ScoredSentence]:
+    """The best of a sentence, and of its products with courses that say when it acts."""
+    place, law, course = parts_of(one.template)
+    gates = [
+        gate for gate in list_courses(model.station.conditions) if COURSES[gate[0]].gates or gate[0] in OTHER_GATES
+    ]
+    together = [(PRODUCT, course, gate) for gate in gates if names_in(gate) != names_in(course)]
+    return score_sentences(model, targets, [(place, law)], [course, *together])
+
+
+class Lengths:
+    """Description lengths in chi^2: twice the ln of the number of alternatives at each choice."""
+
+    def __init__(self, conditions: Conditions, targets: int) -> None:
+        self._laws = Counter(one[0] for one in list_laws(conditions))
+        self._courses = Counter(one[0] for one in list_courses(conditions))
+        self._targets = targets
+
+    def spectral(self, law: Form) -> float:
+        """Length of place, law and target."""
+        return float(2.0 * np.log(len(PLACES) * len(LAWS) * self._laws[law[0]] * self._targets))
+
+    def temporal(self, course: Form) -> float:
+        """Length of a course; a product is as long as both."""
+        if course[0] == PRODUCT:
+            return self.temporal(course[1]) + self.temporal(course[2])
+        return float(2.0 * np.log(len(COURSES) * self._courses[course[0]]))
+
+
+def best_of_families(scored: Sequence[ScoredSentence]) -> list[ScoredSentence]:
+    """The best of each family, the likeliest first."""
+    best: dict[tuple[str, ...], ScoredSentence] = {}
+    for one in sorted(scored, key=lambda one: -one.gain):
+        best.setdefault(one.family, one)
+    return list(best.values())
+
+
+def refine_sentence(model: LinearModel, one: ScoredSentence, policy: Policy) -> ScoredSentence:
+    """The same with the best numbers of law and course, of which one is moved at a time, and with a positive size."""
+    conditions = model.station.conditions
+    for _ in range(3):
+        template = refine(model, Score(SENTENCE, one.template, one.target, one.z, one.size, 0), policy).template
+        turned = opposite(template) if one.size < 0.0 else None
+        template = turned or template
+        family = SpectralFamily(SENTENCE, [template], SENTENCE.time_profile(conditions, template).T)
+        known = model.on_events(family.known_events(conditions))
+        ((_, z, size),) = score_families(known, [family], [one.target])
+        one = replace(one, template=template, z=z.item(), size=size.item())
+    return one
