@@ -21,8 +21,9 @@ from lbacal_core.discovery.antennas import AntennaScore
 from lbacal_core.discovery.describe import Described, Description
 from lbacal_core.discovery.findings import Finding, change_of_c
 from lbacal_core.discovery.hypothesis import Target, sigma_of
+from lbacal_core.discovery.judges import DEFAULT_JUDGE, Judge
 from lbacal_core.discovery.pictures import picture_antenna, picture_finding, picture_record, picture_station
-from lbacal_core.discovery.policy import Judge, Policy
+from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.residual_structure import ResidualStructure
 from lbacal_core.discovery.scan import Score
 from lbacal_core.discovery.search import StationReport, put_into_words, search_station
@@ -449,7 +450,7 @@ def investigate(
     *,
     seed: int = 0,
     progress: Callable[[str], None] = lambda _: None,
-    judge: Judge = Policy.judge,
+    judge: Judge = DEFAULT_JUDGE,
 ) -> tuple[dict[str, Any], list[StationReport]]:
     """Find what the simulation gets wrong in the spectra of every station.
 
