@@ -11,7 +11,7 @@ import hashlib
 import json
 import os
 import re
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -74,13 +74,15 @@ class Question:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """The list of what a tag holds.
+    """The list of what a tag holds, or of the part of it that was asked for.
 
     Attributes
     ----------
     stations
         By name: the antennas, and for each edge in order its instant and the SHA-256 of the answer from there on (None:
         nothing is in effect).
+    only, since, until
+        The stations of that part, all and the array where it is empty, and its first instant and its end.
     """
 
     tag: str
@@ -88,6 +90,21 @@ class Snapshot:
     url: str
     synced_at: str
     stations: Mapping[str, Mapping[str, Any]]
+    only: Sequence[str] = ()
+    since: str | None = None
+    until: str | None = None
+
+    def holds(self, asked: Question) -> bool:
+        """Whether a question is about the part that is held."""
+        since, until = (None if end is None else parse_instant("part", end) for end in (self.since, self.until))
+        is_then = (since is None or asked.at >= since) and (until is None or asked.at < until)
+        return is_then and (not self.only or asked.station in self.only)
+
+    @property
+    def part(self) -> str:
+        """What is held, in words; empty for everything."""
+        ends = [f"{word} {end[:19]}Z" for word, end in (("from", self.since), ("until", self.until)) if end is not None]
+        return " ".join([", ".join(self.only), *ends]).strip()
 
     @property
     def files(self) -> set[str]:
@@ -102,14 +119,28 @@ class Cache:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
 
-    def sync(self, client: Source, tag: str, on_step: Callable[[int, int], None] | None = None) -> tuple[Snapshot, int]:
-        """Fetch what a tag holds and is not here and whole; return the list and the number of answers fetched."""
+    def sync(
+        self,
+        client: Source,
+        tag: str,
+        on_step: Callable[[int, int], None] | None = None,
+        *,
+        only: Sequence[str] = (),
+        since: Instant | None = None,
+        until: Instant | None = None,
+    ) -> tuple[Snapshot, int]:
+        """Fetch what a tag holds and is not here and whole; return the list and the number of answers fetched.
+
+        With stations or instants only the answers of that part, which is then what the cache holds of the tag.
+        """
         found = next((one for one in client.get("/v1/tags")["tags"] if one["name"] == _require_tag(tag)), None)
         if found is None:
             raise BadInputError("tag", "a tag of the server; `lbacal tag` lists and makes them", repr(tag))
         as_of = found["as_of"]
         held = self._held_before(tag, as_of)
         stations = client.get("/v1/calibrations/edges", as_of=as_of)["stations"]
+        _require_known(only, [one["station"] for one in stations if one["station"]])
+        stations = [_during(one, since, until) for one in stations if not only or one["station"] in only]
         total, fetched, done = sum(len(station["edges"]) for station in stations), 0, 0
         listed: dict[str, dict[str, Any]] = {}
         for station in stations:
@@ -126,7 +157,8 @@ class Cache:
                     on_step(done, total)
             dipoles = station.get("dipoles", ["X", "Y"])  # a server from before instruments had other letters
             listed[name] = {"antennas": station["antennas"], "dipoles": dipoles, "edges": edges}
-        snapshot = Snapshot(tag, as_of, client.url, format_instant(_now()), listed)
+        ends = (None if end is None else format_instant(end) for end in (since, until))
+        snapshot = Snapshot(tag, as_of, client.url, format_instant(_now()), listed, tuple(only), *ends)
         content = json.dumps({"format": FORMAT, **vars(snapshot)}, sort_keys=True).encode()
         self._write(self._folder / "tags" / f"{tag}.json", json.dumps({"list": self._keep(content)}).encode())
         return snapshot, fetched
@@ -140,12 +172,19 @@ class Cache:
             raise CacheError(f"the cache {self._folder} holds no tag: run `lbacal sync TAG` while a server answers")
         return max((self._read_snapshot(name) for name in names), key=lambda snapshot: snapshot.synced_at)
 
-    def has(self, tag: str) -> bool:
-        """Whether a tag was synced."""
-        return (self._folder / "tags" / f"{_require_tag(tag)}.json").is_file()
+    def has(self, tag: str, asked: Question) -> bool:
+        """Whether a tag was synced, with what is asked for."""
+        is_there = (self._folder / "tags" / f"{_require_tag(tag)}.json").is_file()
+        return is_there and self._read_snapshot(tag).holds(asked)
 
     def answer(self, snapshot: Snapshot, asked: Question, kind: str = "json") -> bytes:
         """What the server answered to a question as of the tag, in one of its formats."""
+        if not snapshot.holds(asked):
+            what = f"{asked.name} at {format_instant(asked.at)}"
+            raise CacheError(
+                f"the cache holds of {snapshot.tag} {snapshot.part} alone, not {what}: "
+                f"run `lbacal sync {snapshot.tag}` while a server answers"
+            )
         content = self._gather(snapshot, asked)
         if kind == "json":
             return json.dumps(content, allow_nan=False, separators=(",", ":"), ensure_ascii=False).encode()
@@ -273,11 +312,25 @@ def _select_stations(snapshot: Snapshot, asked: Question) -> Sequence[str]:
         raise BadInputError("antenna", "a station beside it", f"antenna {asked.antenna} alone")
     if asked.station is None:
         return stations
-    if asked.station not in stations:
-        raise BadInputError("station", f"one of {', '.join(stations)}", repr(asked.station))
+    _require_known([asked.station], stations)
     if asked.antenna is not None and asked.antenna not in snapshot.stations[asked.station]["antennas"]:
         raise BadInputError("antenna", f"an antenna of {asked.station}", str(asked.antenna))
     return [asked.station]
+
+
+def _require_known(named: Sequence[str], stations: Sequence[str]) -> None:
+    """Refuse a station that is not among some."""
+    for name in named:
+        if name not in stations:
+            raise BadInputError("station", f"one of {', '.join(stations)}", repr(name))
+
+
+def _during(station: Mapping[str, Any], since: Instant | None, until: Instant | None) -> dict[str, Any]:
+    """A station with the edges between which some of a window lies."""
+    begins = [parse_instant("edge", edge) for edge in station["edges"]]
+    first = 0 if since is None else max(bisect_right(begins, since) - 1, 0)
+    last = len(begins) if until is None else bisect_left(begins, until)
+    return {**station, "edges": station["edges"][first:last]}
 
 
 def _at(edges: Sequence[tuple[str, str | None]], at: Instant) -> str | None:

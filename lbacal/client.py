@@ -7,7 +7,7 @@ import json
 import os
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import wraps
 from inspect import signature
@@ -44,7 +44,14 @@ class CachedAnswerWarning(UserWarning):
 
 def describe_snapshot(snapshot: Snapshot) -> str:
     """Which tag answers, and as of when."""
-    return f"tag {snapshot.tag}, as known at {snapshot.as_of}, synced at {snapshot.synced_at[:19]}Z from {snapshot.url}"
+    part = f" ({snapshot.part} alone)" if snapshot.part else ""
+    when = f"as known at {snapshot.as_of}, synced at {snapshot.synced_at[:19]}Z from {snapshot.url}"
+    return f"tag {snapshot.tag}{part}, {when}"
+
+
+def _question(params: Mapping[str, Any]) -> Question:
+    about = {name: params[name] for name in ("station", "antenna", "dipole", "scope")}
+    return Question(at=parse_instant("at", params["at"]), **about)
 
 
 class Client:
@@ -89,11 +96,22 @@ class Client:
         """The bytes at a path of the API."""
         return self._transport.request("GET", path, params=params).content
 
-    def sync(self, tag: str, on_step: Callable[[int, int], None] | None = None) -> tuple[Snapshot, int]:
-        """Bring what a tag holds into `LBACAL_CACHE`; see `Cache.sync`."""
+    def sync(
+        self,
+        tag: str,
+        on_step: Callable[[int, int], None] | None = None,
+        *,
+        stations: Sequence[str] = (),
+        since: Any = None,
+        until: Any = None,
+    ) -> tuple[Snapshot, int]:
+        """Bring what a tag holds, or what it holds of some stations and a window, into `LBACAL_CACHE`; see `Cache.sync`."""
         if self._cache is None:
             raise BadInputError("LBACAL_CACHE", "a folder for the answers of the tag", "nothing")
-        return self._cache.sync(self, tag, on_step)
+        first, last = (None if end is None else parse_instant("part", format_time(end)) for end in (since, until))
+        if first is not None and last is not None and first >= last:
+            raise BadInputError("since, until", "an end after the beginning", f"{since} to {until}")
+        return self._cache.sync(self, tag, on_step, only=stations, since=first, until=last)
 
     def send(self, method: str, path: str, body: dict[str, Any], **params: Any) -> Any:
         """Send a JSON body, without fields that are None unless they are `calibration`; the JSON that comes back."""
@@ -154,7 +172,8 @@ class Client:
     def _ask(self, params: dict[str, Any]) -> bytes:
         self.snapshot = None
         is_plain = params["as_of"] is None and params["gap"] is None
-        if self._cache and params["tag"] is not None and is_plain and self._cache.has(params["tag"]):
+        tag = params["tag"]
+        if self._cache and tag is not None and is_plain and self._cache.has(tag, _question(params)):
             return self._ask_cache(self._cache, params)
         try:
             # with a cache nobody need wait for a server that may come back, or for one that is stuck
@@ -169,8 +188,7 @@ class Client:
         snapshot, wanted = cache.snapshot(params["tag"]), params["as_of"]
         if wanted is not None and parse_instant("as_of", wanted) != parse_instant("as_of", snapshot.as_of):
             raise BadInputError("as_of", f"{snapshot.as_of}, the instant of the cached tag {snapshot.tag}", wanted)
-        about = {name: params[name] for name in ("station", "antenna", "dipole", "scope")}
-        answer = cache.answer(snapshot, Question(at=parse_instant("at", params["at"]), **about), params["format"])
+        answer = cache.answer(snapshot, _question(params), params["format"])
         self.snapshot = snapshot
         return answer
 

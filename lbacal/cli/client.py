@@ -82,15 +82,23 @@ def effective(
             print_curve(curve, is_explained=why)
 
 
-def sync(tag: Annotated[str, typer.Argument(help="Name of the tag.")]) -> None:
+def sync(
+    tag: Annotated[str, typer.Argument(help="Name of the tag.")],
+    station: Annotated[
+        list[str] | None, typer.Option(help="Only this station, without the array; may be given several times.")
+    ] = None,
+    since: Annotated[str | None, typer.Option(help="Only what is in effect from here on, ISO 8601, UTC.")] = None,
+    until: Annotated[str | None, typer.Option(help="Only what is in effect before.")] = None,
+) -> None:
     """Bring the calibrations of a tag into LBACAL_CACHE, where `effective` finds them while no server answers.
 
     Example: LBACAL_CACHE=~/.cache/lbacal lbacal sync paper-2026
 
-    Run again, it looks at every file and fetches what is missing or damaged.
+    Run again, it looks at every file and fetches what is missing or damaged. What the cache then holds of a tag is what
+    was asked for last; other questions about the tag go to the server.
     """
     with Client() as client, _progress("answers") as on_step:
-        snapshot, fetched = client.sync(tag, on_step)
+        snapshot, fetched = client.sync(tag, on_step, stations=station or (), since=since, until=until)
     print(f"{describe_snapshot(snapshot)}: {len(snapshot.files)} files, {fetched} answers fetched")
 
 

@@ -200,3 +200,47 @@ def test_what_a_cache_does_not_know_is_refused_in_a_sentence(factory: Factory, t
     ):
         with pytest.raises(LbacalError, match=sentence):
             client.effective(**{"at": "2014-03-01", **question})
+
+
+@pytest.mark.usefixtures("cache")
+def test_a_part_of_a_tag_answers_what_it_holds_and_says_what_it_does_not(factory: Factory, tagged: str) -> None:
+    with listening(factory) as url, lbacal.Client(url) as client:
+        _, whole = client.sync(tagged)
+        served = {
+            at: client.effective("CS002", at=at, tag=tagged, format="json") for at in ("2014-03-01", "2014-06-15")
+        }
+        snapshot, fetched = client.sync(tagged, stations=["CS002"], since="2014-03-01", until="2014-07-01")
+        assert (fetched, list(snapshot.stations)) == (0, ["CS002"])
+        assert len(snapshot.files) < whole
+        # what is not held is asked of the server, by the tag as before
+        assert client.effective("CS001", at="2014-03-01", tag=tagged).meta["source"] == url
+        with pytest.raises(BadInputError, match="station: expected one of CS001, CS002, found 'CS009'"):
+            client.sync(tagged, stations=["CS009"])
+        with pytest.raises(BadInputError, match="an end after the beginning"):
+            client.sync(tagged, since="2014-07-01", until="2014-03-01")
+    client = lbacal.Client(ABSENT)
+    for at, answer in served.items():
+        assert client.effective("CS002", at=at, tag=tagged, format="json") == answer
+    part = r"of paper CS002 from 2014-03-01T00:00:00Z until 2014-07-01T00:00:00Z alone"
+    inside, before, end = "2014-03-01", "2014-02-28", "2014-07-01"
+    for question in (
+        {"station": "CS001", "at": inside},
+        {"at": inside},
+        {"scope": "array", "at": inside},
+        {"station": "CS002", "at": before},
+        {"station": "CS002", "at": end},
+    ):
+        with pytest.raises(CacheError, match=f"{part}.*run `lbacal sync paper`"):
+            client.effective(**question)
+
+
+def test_a_cache_from_before_parts_is_read(factory: Factory, tagged: str, cache: Path) -> None:
+    with listening(factory) as url, lbacal.Client(url) as client:
+        client.sync(tagged)
+    pointer = cache / "tags" / "paper.json"
+    kept = Cache(cache)
+    content = json.loads((cache / "files" / (d := json.loads(pointer.read_text())["list"])[:2] / d).read_text())
+    old = {name: value for name, value in content.items() if name not in ("only", "since", "until")}
+    pointer.write_text(json.dumps({"list": kept._keep(json.dumps(old).encode())}))
+    assert kept.snapshot("paper").part == ""
+    assert kept.snapshot("paper").stations == content["stations"]
