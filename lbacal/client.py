@@ -105,7 +105,7 @@ class Client:
         since: Any = None,
         until: Any = None,
     ) -> tuple[Snapshot, int]:
-        """Bring what a tag holds, or what it holds of some stations and a window, into `LBACAL_CACHE`; see `Cache.sync`."""
+        """Bring what a tag holds, or a part of it, into `LBACAL_CACHE`; see `Cache.sync`."""
         if self._cache is None:
             raise BadInputError("LBACAL_CACHE", "a folder for the answers of the tag", "nothing")
         first, last = (None if end is None else parse_instant("part", format_time(end)) for end in (since, until))
