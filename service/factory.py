@@ -29,6 +29,7 @@ from service.wire.hdf5_body import FileReader
 
 if TYPE_CHECKING:
     from lbacal_core.simulation.simulation import Simulation
+    from service.usecases.bad_antennas import BadAntennas
     from service.usecases.drift_measurement import DriftMeasurement
     from service.usecases.due import DueWork
     from service.usecases.fits import Fits
@@ -166,6 +167,13 @@ class Factory:
     def changes(self) -> Changes:
         """What changed in paths, and what is decided about it."""
         return Changes(self.database, self.instrument, self.promotions, lambda: self.fits, self.clock)
+
+    @cached_property
+    def bad_antennas(self) -> BadAntennas:
+        """Antennas not to be used."""
+        from service.usecases.bad_antennas import BadAntennas
+
+        return BadAntennas(self.database, self.instrument)
 
     @cached_property
     def lives(self) -> Lives:

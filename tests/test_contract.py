@@ -55,7 +55,8 @@ PUT /v1/tags/{name}; POST /v1/refits; GET /v1/jobs; GET /v1/jobs/{number}; POST 
 GET /v1/alarms; POST /v1/alarms/{number}/acknowledgement; POST /v1/investigations; GET /v1/investigations
 GET /v1/investigations/{name}; POST /v1/investigations/{name}/adoption; GET /v1/changes; POST /v1/changes
 POST /v1/changes/{number}/decision; GET /v1/paths/{station}/{antenna}/{dipole}/life; GET /v1/stations/{station}/life
-GET /v1/life; GET /v1/predictions; GET /v1/models; POST /v1/models/{name}/withdrawal; GET /v1/budgets/{digest}
+GET /v1/life; GET /v1/antennas/bad; GET /v1/predictions
+GET /v1/models; POST /v1/models/{name}/withdrawal; GET /v1/budgets/{digest}
 GET /healthz; GET /readyz; GET /metrics
 """
 

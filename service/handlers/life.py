@@ -6,13 +6,14 @@ from typing import Any
 
 from fastapi import APIRouter, Request, Response
 
+from lbacal.instants import format_instant, parse_instant
 from lbacal_core.curves.validity import Instant
 from service.handlers.drift import describe_alarm, describe_change
 from service.handlers.models import describe_investigation, describe_model
 from service.handlers.request import InPath, UseCases, Whole, answer
 from service.handlers.routes import reads
 from service.usecases.life import Life
-from service.wire.answer_models import LifeAnswer, VersionAnswer
+from service.wire.answer_models import BadAntennasAnswer, LifeAnswer, VersionAnswer
 from service.wire.answers import describe_stretch, fill_answer
 
 router = APIRouter(tags=["life"])
@@ -38,6 +39,22 @@ def get_life_of_station(request: Request, use: UseCases, station: InPath) -> Res
 def get_life_of_array(request: Request, use: UseCases) -> Response:
     """The life of the array, as that of a path."""
     return answer(request, describe_life(use.lives.of(None), use.clock()))
+
+
+@reads(router, "/v1/antennas/bad", BadAntennasAnswer)
+def get_bad_antennas(request: Request, use: UseCases, at: str | None = None, station: str | None = None) -> Response:
+    """Antennas not to be used at an instant (now unless given).
+
+    Silent ones, those that investigations left out as insensitive, and those that lost more than half of their power
+    at a change in force.
+    """
+    instant = use.clock() if at is None else parse_instant("at", at)
+    bad = [
+        {**dict(zip(("station", "antenna", "dipole"), one.path.parts, strict=True)), "kind": one.kind,
+         "since": format_instant(one.since), "reason": one.sentence, "source": one.source}
+        for one in use.bad_antennas.at(instant, station)
+    ]  # fmt: skip
+    return answer(request, {"at": format_instant(instant), "bad": bad})
 
 
 def describe_life(life: Life, now: Instant) -> dict[str, Any]:

@@ -236,6 +236,19 @@ class InvestigationStore(Store):
             statement = statement.where(or_(is_earlier, same))
         return [_value(row) for row in self._connection.execute(statement.limit(limit))]
 
+    def newest_covering(self, instant: Instant, station: str | None) -> list[Investigation]:
+        """The newest investigation of each station whose window holds an instant, by station."""
+        order = (investigation.c.made_us.desc(), investigation.c.id)
+        rank = func.row_number().over(partition_by=investigation.c.station, order_by=order).label("rank")
+        held = select(investigation.c.id, rank).where(
+            investigation.c.since_us <= instant, investigation.c.until_us > instant
+        )
+        if station is not None:
+            held = held.where(investigation.c.station == station)
+        ranked = held.subquery()
+        statement = select(investigation).join(ranked, ranked.c.id == investigation.c.id).where(ranked.c.rank == 1)
+        return [_value(row) for row in self._connection.execute(statement.order_by(investigation.c.station))]
+
     def newest_with_findings(self) -> list[Investigation]:
         """The newest investigation of every station's window, of those that found a cause; by station and window."""
         window = (investigation.c.station, investigation.c.since_us, investigation.c.until_us)

@@ -730,6 +730,25 @@ class InEffectStretch(Stretch):
     calibration: str
 
 
+class BadPathAnswer(Answer):
+    """A path that is not to be used, and one reason."""
+
+    station: str
+    antenna: int
+    dipole: str
+    kind: Literal["silent", "insensitive", "weak"]
+    since: Moment
+    reason: str
+    source: str = Field(description="where that stands")
+
+
+class BadAntennasAnswer(Answer):
+    """Paths not to be used at an instant, one line a reason; none where nothing is known against any."""
+
+    at: Moment
+    bad: list[BadPathAnswer]
+
+
 class LifeAnswer(Answer):
     """All that is known of a path, a station or the array, each in order of time."""
 

@@ -18,6 +18,7 @@ from lbacal_core.errors import BadInputError
 from service.factory import Factory
 from service.storage.alarms import News
 from service.storage.changes import DRIFT, INVESTIGATION, Change, Evidence
+from service.storage.models import Investigation
 from service.storage.versions import Version
 from tests.service.conftest import promote
 
@@ -272,3 +273,46 @@ def test_a_step_is_told_of_its_path_its_station_and_the_array_alone(factory: Fac
 def test_who_is_not_there_has_no_drift(client: TestClient, asked: dict[str, Any], sentence: str) -> None:
     answer = client.get("/v1/drift", params=asked)
     assert (answer.status_code, sentence in answer.json()["detail"]) == (422, True)
+
+
+def test_antennas_not_to_be_used_are_silent_insensitive_or_weak(factory: Factory, client: TestClient) -> None:
+    def bad(**asked: str) -> list[tuple[str, int, str, str, str]]:
+        answer = client.get("/v1/antennas/bad", params=asked)
+        assert answer.status_code == 200, answer.text
+        return [
+            tuple(one[part] for part in ("station", "antenna", "dipole", "kind", "since"))
+            for one in answer.json()["bad"]
+        ]
+
+    assert bad(at="2014-06-01") == []
+    weak, half = Change("CS001", ((0, "X"),), "step", DATE, DAY_US, 0.5, 0.01), 10 * DAY_US
+    lost = News("lost_path", Scope("CS002"), "", "2 paths", {"paths": ["CS002/1/X", "CS002/1/Y"]}, since=DATE + half)
+    begin, end = (parse_instant("", f"{year}-01-01") for year in (2014, 2015))
+    report = {"verdict": "consistent", "findings": [], "stations": [{"station": "CS002", "deaf": ["antenna 1 Y"]}]}
+    newer = report | {"stations": [{"station": "CS002", "deaf": []}]}
+    with factory.database.write() as stores:
+        stores.changes.note(weak, Evidence(DRIFT, "", 9.0, factory.clock()))
+        stores.alarms.raise_alarm(lost, factory.clock())
+        stores.investigations.add(Investigation("a" * 64, "CS002", begin, end, {}, report, 5, "x", "x"))
+    day, later = "2014-05-01T00:00:00Z", "2014-05-11T00:00:00Z"
+    deaf, silent = (
+        ("CS002", 1, "Y", "insensitive", "2014-01-01T00:00:00Z"),
+        [("CS002", 1, d, "silent", later) for d in "XY"],
+    )
+    assert bad(at="2014-04-30") == [deaf]
+    assert bad(at="2014-05-02") == [("CS001", 0, "X", "weak", day), deaf]
+    assert bad(at="2014-05-12") == [("CS001", 0, "X", "weak", day), silent[0], deaf, silent[1]]
+    assert bad(at="2014-05-12", station="CS001") == [("CS001", 0, "X", "weak", day)]
+    assert bad(at="2015-05-12", station="CS002") == silent, "no investigation holds that year"
+    (told,) = client.get("/v1/antennas/bad", params={"at": "2014-05-12", "station": "CS001"}).json()["bad"]
+    assert (told["reason"], told["source"]) == ("its power fell to 44% on 2014-05-01", "/v1/changes#1")
+    mended = Change("CS001", ((0, "X"),), "step", DATE + half, DAY_US, -0.33, 0.01)
+    with factory.database.write() as stores:
+        stores.changes.note(mended, Evidence(DRIFT, "", 9.0, factory.clock()))
+        stores.investigations.add(Investigation("b" * 64, "CS002", begin, end, {}, newer, 6, "x", "x"))
+        stores.alarms.settle(["lost_path"], [], DATE + 2 * half)
+    assert bad(at="2014-05-02") == [("CS001", 0, "X", "weak", day)]
+    assert bad(at="2014-05-12") == silent
+    assert bad(at="2014-05-22") == []
+    assert client.get("/v1/antennas/bad?station=CS009").status_code == 422
+    assert client.get("/v1/antennas/bad?at=soon").status_code == 422
