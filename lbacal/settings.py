@@ -9,7 +9,7 @@ import os
 from difflib import get_close_matches
 from pathlib import Path
 
-from lbacal_core.discovery.judges import DEFAULT_JUDGE, JUDGES, Judge
+from lbacal_core.data.judges import DEFAULT_JUDGE, JUDGES, Judge
 from lbacal_core.errors import BadInputError
 
 PREFIX = "LBACAL_"

@@ -11,7 +11,7 @@ from pydantic_core import PydanticCustomError
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from lbacal.settings import PREFIX, require_known_settings
-from lbacal_core.discovery.judges import DEFAULT_JUDGE, Judge
+from lbacal_core.data.judges import DEFAULT_JUDGE, Judge
 from lbacal_core.errors import BadInputError
 from service.refusals import describe_refusal
 

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from lbacal_core.calibration.chain_form import EXCLUDED, OPEN
-from lbacal_core.discovery.judges import DEFAULT_JUDGE, Judge
+from lbacal_core.data.judges import DEFAULT_JUDGE, Judge
 
 
 @dataclass(frozen=True)

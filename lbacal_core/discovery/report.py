@@ -16,12 +16,12 @@ from lbacal_core.calibration.chain_form import FORM_OF_CHAIN, compare_forms
 from lbacal_core.causes.axes import describe_term
 from lbacal_core.causes.cause import Description as CauseTexts
 from lbacal_core.causes.grammar import PLACES, as_equation, in_words
+from lbacal_core.data.judges import DEFAULT_JUDGE, Judge
 from lbacal_core.discovery.adopted import describe_size, fit_adopted
 from lbacal_core.discovery.antennas import AntennaScore
 from lbacal_core.discovery.describe import Described, Description
 from lbacal_core.discovery.findings import Finding, change_of_c
 from lbacal_core.discovery.hypothesis import Target, sigma_of
-from lbacal_core.discovery.judges import DEFAULT_JUDGE, Judge
 from lbacal_core.discovery.pictures import picture_antenna, picture_finding, picture_record, picture_station
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.residual_structure import ResidualStructure

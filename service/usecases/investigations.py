@@ -14,7 +14,7 @@ from lbacal_core.calibration.singles import MIN_EVENTS
 from lbacal_core.calibration.windows import leave_out_changed
 from lbacal_core.causes.model import Model
 from lbacal_core.curves.validity import Instant, Scope
-from lbacal_core.discovery.judges import DEFAULT_JUDGE, Judge
+from lbacal_core.data.judges import DEFAULT_JUDGE, Judge
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.provenance import hash_content
 from lbacal_core.simulation.simulation import Simulation

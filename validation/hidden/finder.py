@@ -9,10 +9,10 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from lbacal_core.causes.catalogue import CAUSES
+from lbacal_core.data.judges import DEFAULT_JUDGE, Judge
 from lbacal_core.discovery.adopted import find_members
 from lbacal_core.discovery.curve_search import describe_curve, investigate_curve
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
-from lbacal_core.discovery.judges import DEFAULT_JUDGE, Judge
 from lbacal_core.discovery.refit import power_ratio
 from lbacal_core.discovery.report import investigate
 from lbacal_core.discovery.search import StationReport

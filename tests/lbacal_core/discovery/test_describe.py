@@ -10,9 +10,9 @@ from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.grammar import parts_of
 from lbacal_core.causes.model import Model
 from lbacal_core.causes.own import FORMAT, NamedSentence, catalogue_with
+from lbacal_core.data.judges import JUDGES
 from lbacal_core.discovery.describe import CERTAIN, Description, describe_structure, notice
 from lbacal_core.discovery.hypothesis import list_targets
-from lbacal_core.discovery.judges import JUDGES
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.refit import fit_chain
 from lbacal_core.discovery.report import investigate
