@@ -33,7 +33,6 @@ from lbacal_paper.shower_study import (
 from lbacal_paper.showers.coreas import Shower, read_coreas
 from lbacal_paper.statements import (
     DISAGREE,
-    UNDECIDED,
     UNTESTED,
     describe_verdicts,
     load_statements,
@@ -43,14 +42,13 @@ from lbacal_paper.study import make_study
 
 TITLES = {
     DISAGREE: "Where we disagree",
-    UNDECIDED: "What our numbers leave undecided",
     UNTESTED: "What cannot be tested here",
 }
 BEGIN, END = "<!-- claims: written by validation/scripts/write_paper_page.py -->", "<!-- end of claims -->"
 
 
 def describe_claims(claims: Sequence[Mapping[str, Any]]) -> str:
-    """The table of all claims, then why we disagree, and in a first sentence what leaves others open or untested."""
+    """The table of all claims, then why we disagree, and in a first sentence what leaves others untested."""
     rows = [
         f"| `{one['id']}` | {one['section']} | {one['claim']} | {_published(one)} | {_ours(one)} | {one['verdict']} |"
         for one in claims
@@ -66,7 +64,7 @@ def describe_claims(claims: Sequence[Mapping[str, Any]]) -> str:
 
 def _list_reasons(reasons: Mapping[str, str], verdict: str) -> list[str]:
     """A line a reason, whole where we disagree, else its beginning, with all that it stands behind."""
-    end = {DISAGREE: r"\Z", UNTESTED: r"[;:] |\. (?=[A-Z])"}.get(verdict, r"; |\. (?=[A-Z])")
+    end = r"\Z" if verdict == DISAGREE else r"[;:] |\. (?=[A-Z])"
     names: dict[str, list[str]] = {}
     for name, how in reasons.items():
         names.setdefault(re.split(end, how)[0].rstrip("."), []).append(f"`{name}`")
