@@ -91,11 +91,10 @@ def read_rs509(data: Path) -> tuple[Spectra, Instrument, Floats]:
 
 
 def tabulate_audit(report: AuditReport) -> list[str]:
-    """What is wrong, line by line, and in one row all that one spectrum a path leaves open."""
-    wrong = [(one.verdict, one.check, _shorten(one.sentence)) for one in report.lines if one.verdict != "undecided"]
+    """A line for each that is wrong, and one for all that one spectrum a path leaves open."""
+    wrong = [f"- {one.verdict}: {_shorten(one.sentence)}" for one in report.lines if one.verdict != "undecided"]
     left = ", ".join(one.check for one in report.lines if one.verdict == "undecided")
-    rows = [*wrong, ("undecided", left, "one spectrum a path does not tell; some hours would")]
-    return write_table(["verdict", "check", "what is said"], rows)
+    return [*wrong, f"- undecided: {left}"]
 
 
 def _shorten(sentence: str) -> str:
