@@ -36,7 +36,8 @@ OPEN = "Undecided, by their names in the record of each part, which has sentence
 LIMITS = """\
 - The twin that makes the data is ours. It shares no code with what is tested, but its author has read both: a fault of
   nature of which nobody thought is in no row.
-- This code has never calibrated the real instrument beside a lamp: no row compares C with an absolute measurement.
+- This code has never calibrated the real instrument beside a reference source: no row compares C with an absolute
+  measurement.
 - Rates hold for the stations that were simulated (four to 48 antennas, 150 to 900 events in a year).
 """
 
