@@ -287,7 +287,6 @@ def table_of_bands(rows: Mapping[str, Sequence[Row]]) -> list[str]:
 
 
 TABLES = {"lines": table_of_lines, "bands": table_of_bands}
-IMAGES = {"traces-lines.png": "Lines found by their strength, and what they do to the power of their bin"}
 
 
 def draw(rows: Mapping[str, Sequence[Row]]) -> dict[str, Figure]:
