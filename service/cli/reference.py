@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path
@@ -22,7 +23,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 _COMMANDS = """# Commands
 Written by `./dev docs` from the commands themselves: do not edit. `lbacal COMMAND --help` says what each option means
-and what it is by default; a star marks what is required. Every command exits with 0 when it is done, 1 when the work
+and what it is by default, and which are required. Every command exits with 0 when it is done, 1 when the work
 failed, and 2 on bad usage or bad input, with one sentence on standard error. [How to install](how-to/install.md) says
 which need an extra.
 """
@@ -100,8 +101,10 @@ def _describe(path: list[str], command: Any) -> Iterator[str]:
             yield f"{text}\n\n"
         elif " -" in example:  # without an option it says no more than the heading
             yield f"`{example}`\n\n"
-    options = ", ".join(_name_option(one) for one in command.params if not _is_argument(one) and one.name not in OF_ALL)
-    yield f"Options: {options}\n" if options else ""
+    shown = set(re.findall(r"--[a-z-]+", command.help or ""))
+    others = [one for one in command.params if not _is_argument(one) and one.name not in OF_ALL]
+    options = ", ".join(_name_option(one) for one in others if not shown & set(one.opts))
+    yield f"Other options: {options}\n" if options else ""
     for name, one in getattr(command, "commands", {}).items():
         yield from _describe([*path, name], one)
 
@@ -115,11 +118,11 @@ def _is_argument(parameter: Any) -> bool:
 
 
 def _name_option(parameter: Any) -> str:
-    """The option, its choices where it has some, and a star where it is required."""
+    """The option, and its choices where it has some."""
     kind = parameter.type_descriptor.annotation
     is_choice = isinstance(kind, type) and issubclass(kind, StrEnum)
     choices = f" {'|'.join(kind)}" if is_choice else ""
-    return f"`{' / '.join(parameter.opts + parameter.secondary_opts)}{choices}`{'*' if parameter.required else ''}"
+    return f"`{' / '.join(parameter.opts + parameter.secondary_opts)}{choices}`"
 
 
 def main() -> None:
