@@ -98,8 +98,8 @@ def tabulate_audit(report: AuditReport) -> list[str]:
 
 
 def _shorten(sentence: str) -> str:
-    """The sentence without what stands in brackets."""
-    return re.sub(r" \([^)]*\)", "", sentence)
+    """The sentence without what stands in brackets, and without what its level is compared with."""
+    return re.sub(r" \([^)]*\)", "", sentence).removesuffix(" from the others")
 
 
 def read_edges(data: Path) -> dict[str, Floats]:
