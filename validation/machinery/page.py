@@ -26,11 +26,11 @@ What `lbacal` claims of itself, and what was found. `./dev prove NAME` runs a pr
 
 The interval of a figure decides ([how](explanation/how-discovery-is-proven.md#when-a-claim-is-shown)). **Shown**: all
 of it is within what is asked. **Refuted**: none is. **Undecided**: it reaches over the limit. n counts independent
-trials, *blocks* how often seeds were entered in the [ledger](../validation/ledger.jsonl), whatever became of them. The
-record *holds* while the finder says of the [frozen data sets](../validation/frozen) what it said then. The rows are
-the main claims of each proof; what else is refuted or undecided stands at the end.
+trials and, in brackets, how often seeds were entered in the [ledger](../validation/ledger.jsonl), whatever became of
+them. A record is *old* where the finder says of the [frozen data sets](../validation/frozen) something else than then.
+The rows are the main claims of each proof; what else is refuted or undecided stands at the end.
 """
-TABLE = ("| claim | asked | found (interval) | n | verdict | proof | blocks | holds |", "|" + "---|" * 8)
+TABLE = ("| claim | asked | found (interval) | n | verdict | proof |", "|" + "---|" * 6)
 PROOFS = "`./dev prove` lists the proofs. Hours of one core: "
 OPEN = "Undecided, by their names in the record of each part, which has sentence, limit and interval: "
 LIMITS = """\
@@ -98,9 +98,9 @@ def _row(claim: Claim, record: Record, history: Sequence[Record], entries: Seque
     verdict = f"**{claim.verdict}**" if claim.verdict not in (SHOWN, MEASURED) else claim.verdict
     verdict += tell_change(claim, record, history)
     blocks = sum((one.proof, one.part) == (record.proof, record.part) for one in entries)
-    proof = record.proof if record.part == record.proof else f"{record.proof} {record.part}"
-    cells = (claim.asked.says, claim.words_asked, claim.words_found, str(claim.n), verdict, f"`{proof}`", str(blocks))
-    return f"| {' | '.join(cells)} | {'yes' if record.holds else 'no'} |"
+    proof = f"`{record.proof if record.part == record.proof else f'{record.proof} {record.part}'}`"
+    n, where = f"{claim.n} ({blocks})", proof if record.holds else f"{proof}, old"
+    return f"| {claim.asked.says} | {claim.words_asked} | {claim.words_found} | {n} | {verdict} | {where} |"
 
 
 def tell_change(claim: Claim, record: Record, history: Sequence[Record]) -> str:
@@ -123,10 +123,10 @@ def _open_claims(by_proof: Mapping[str, Sequence[Record]]) -> list[str]:
     """What is not shown: a line a part with its refuted claims, then its other undecided ones by their keys."""
     refuted, undecided = [], []
     for record in (one for records in by_proof.values() for one in records):
+        against = [claim for claim in record.claims if claim.verdict == REFUTED]
         told = [
-            f"{claim.asked.says} (asked {claim.words_asked}, found {claim.words_found})"
-            for claim in record.claims
-            if claim.verdict == REFUTED
+            f"{_without_beginning(claim, before)} (asked {claim.words_asked}, found {claim.words_found})"
+            for claim, before in zip(against, [None, *against], strict=False)
         ]
         if told:
             refuted.append(f"- {record.name}: **refuted** {'; '.join(told)}.")
@@ -138,6 +138,13 @@ def _open_claims(by_proof: Mapping[str, Sequence[Record]]) -> list[str]:
         if keys:
             undecided.append(f"{record.name} {', '.join(keys)}")
     return [*refuted, "", f"{OPEN}{'; '.join(undecided)}."]
+
+
+def _without_beginning(claim: Claim, before: Claim | None) -> str:
+    """The sentence of a claim; without its words before a colon where the claim before began with the same."""
+    beginning, colon, rest = claim.asked.says.partition(": ")
+    is_same = bool(colon) and before is not None and before.asked.says.startswith(f"{beginning}: ")
+    return rest if is_same else claim.asked.says
 
 
 def draw_figures(records: Iterable[Record], folder: Path = IMAGES) -> list[Path]:
