@@ -74,12 +74,17 @@ def _describe_cause(cause: Cause | AntennaCause) -> str:
     does = f" {_first_line(cause.act)}" if isinstance(cause, Cause) else ""
     tried = "" if kind.templates is Cause.templates else _first_line(kind.templates)
     is_one = tried.startswith("One")  # says no more than what it needs, which stands at the end of the page
+    targets = "any" if set(cause.scopes) == ANY else ", ".join(cause.scopes)
     found = (
-        f"Targets: {', '.join(cause.scopes)}. Axes: {', '.join(cause.axes)}.",
+        f"Targets: {targets}. Axes: {', '.join(cause.axes)}.",
         f"Templates: {tried}" if tried and not is_one else "",
         f"To confirm: {cause.confirm}.",
     )
     return f"\n## {cause.identifier}\n{says} ({cause.unit}).{does}\n- {' '.join(filter(None, found))}\n"
+
+
+ANY = {"path", "antenna", "group", "cable", "station"}
+"""Every target that a cause can have."""
 
 
 def _first_line(thing: Any) -> str:
