@@ -144,8 +144,8 @@ def test_the_code_knows_every_entry_of_the_glossary(repository: Path, tracked: l
     assert unknown == set()
 
 
-WORDS_OF_ALL_PAGES = 47_700
-"""README and docs together; 76,000 when each page told what another one had told. 40,000 is the aim."""
+WORDS_OF_ALL_PAGES = 40_000
+"""README and docs together; 76,000 when each page told what another one had told."""
 
 
 def test_all_pages_together_have_no_more_words_than_are_read(repository: Path, tracked: list[Path]) -> None:
