@@ -57,7 +57,7 @@ class Source(Protocol):
 
 @dataclass(frozen=True)
 class Question:
-    """What is asked of `effective`, as far as a cache can answer it."""
+    """A query of `effective`, as far as a cache can answer it."""
 
     at: Instant
     station: str | None
@@ -145,7 +145,7 @@ class Cache:
         return (self._folder / "tags" / f"{_require_tag(tag)}.json").is_file()
 
     def answer(self, snapshot: Snapshot, asked: Question, kind: str = "json") -> bytes:
-        """What the server answered to a question as of the tag, in one of its formats."""
+        """The answer of the server to a query as of the tag, in one of its formats."""
         content = self._gather(snapshot, asked)
         if kind == "json":
             return json.dumps(content, allow_nan=False, separators=(",", ":"), ensure_ascii=False).encode()

@@ -101,7 +101,7 @@ class Stage:
 
 @dataclass(frozen=True)
 class Chain:
-    """What comes behind the antenna: a list of stages, each a power gain, or a `Stage` that says its noise too.
+    """The signal chain after the antenna: a list of stages, each a power gain, or a `Stage` with its noise.
 
     Attributes
     ----------
@@ -167,7 +167,7 @@ def _convert_gain(gain: Any, frequency_mhz: Floats) -> Floats:
 
 
 def mismatch(antenna: Any, load: Any = 50.0, off: complex = 0.0) -> Callable[[Floats], Floats]:
-    """What of an antenna's available power the receiver takes: the gain of a stage of the kind ``load``.
+    """The share of an antenna's available power that the receiver takes: the gain of a stage of the kind ``load``.
 
     Parameters
     ----------

@@ -167,7 +167,7 @@ def calibrate_with_stand_in(study: Study) -> tuple[SourceCalibration, SourceCali
 
 
 def describe_measured_sky(budget: Budget, showers: ShowerStudy) -> str:
-    """What a sky tied to absolute measurements changes in sections 5.1 and 5.2, in one paragraph."""
+    """Describe the change of sections 5.1 and 5.2 by a sky tied to absolute measurements, in one paragraph."""
     change = 100.0 * np.expm1(np.mean([budget.terms[MEASURED][dipole] for dipole in DIPOLES], axis=0))
     right, tied = (showers.displacements[name] for name in (RIGHT, MEASURED))
     low, high, apart = (

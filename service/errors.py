@@ -48,7 +48,7 @@ class NotAcceptableError(LbacalError):
 
 
 class ConflictError(LbacalError):
-    """What was sent contradicts what is stored."""
+    """The request contradicts stored data."""
 
     status = 409
     code = "conflict"

@@ -41,7 +41,7 @@ class Site:
 
 @dataclass(frozen=True)
 class Antenna:
-    """What its dipoles see: a model, by name or file, and the arms.
+    """An antenna of the instrument: the response of its dipoles, by name or file, and the arms.
 
     Attributes
     ----------

@@ -29,7 +29,7 @@ TABLES = {".ecsv": "ascii.ecsv", ".csv": "ascii.csv", ".fits": "fits", ".h5": "h
 
 @dataclass(frozen=True, repr=False, kw_only=True)
 class Result:
-    """What a verb found.
+    """The result of a function of `lbacal`.
 
     Attributes
     ----------

@@ -91,7 +91,7 @@ def audit(
 
 
 def audit_antennas(stations: Sequence[AuditedStation], instrument: Instrument) -> AuditReport:
-    """What antennas say against each other, without any model of the sky."""
+    """Compare antennas with each other, without any model of the sky."""
     return _audit(tuple(stations), instrument, None)
 
 
@@ -158,7 +158,7 @@ SHOWN = 4
 
 @dataclass(frozen=True)
 class QuickAudit:
-    """What the quick part says.
+    """The result of the part of the audit that needs no sky.
 
     Attributes
     ----------

@@ -145,7 +145,7 @@ def conclude(
     hours: float = float("inf"),
     base_fits: bool = True,
 ) -> list[Line]:
-    """What is wrong, if anything; else what the data confirm.
+    """Conclude which record is wrong, if any; else which parts of the record the data confirm.
 
     Parameters
     ----------

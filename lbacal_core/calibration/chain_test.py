@@ -79,7 +79,7 @@ def name_mistakes(found: Sequence[tuple[CalibrationCurve, Tried]], mistakes: Seq
 
 
 def describe_mistakes(mistaken: Mapping[Owner, str]) -> str:
-    """What may be wrong, the most frequent first, with the first antenna or station that shows it."""
+    """Describe the likely mistakes, the most frequent first, with the first antenna or station that shows it."""
     owners: dict[str, list[Owner]] = {}
     for owner, name in mistaken.items():
         owners.setdefault(name, []).append(owner)
@@ -102,7 +102,7 @@ MISFIT_PROBABILITY = 1e-6
 
 @dataclass(frozen=True)
 class ChainTest:
-    """What the test finds in paths.
+    """The result of the chain test of paths.
 
     Attributes
     ----------
@@ -118,7 +118,7 @@ class ChainTest:
 
     @property
     def tried(self) -> list[Tried]:
-        """What was tried in each path."""
+        """The mistakes that were tried in each path."""
         # the gain of a mistake is half of what it takes from chi^2
         fits = ~is_improbable(self.chi2[:, None] - 2.0 * self.gain, self.dof[:, None])
         return [Tried(*one) for one in zip(self.gain, fits, strict=True)]

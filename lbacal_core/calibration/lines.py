@@ -480,7 +480,7 @@ class PathLines:
 
 @dataclass(frozen=True)
 class Look:
-    """What is left beside the lines of a path, along the harmonics of the sidereal day.
+    """Residuals of the lines of a path along the harmonics of the sidereal day.
 
     Attributes
     ----------

@@ -90,7 +90,7 @@ class SeparableSolution:
         return SeparableSolution(**{name: values[at] for name, values in vars(self).items()})
 
     def join(self, other: SeparableSolution) -> SeparableSolution:
-        """These solutions, then those of another."""
+        """Join the solutions with those of another."""
         pairs = zip(vars(self), vars(self).values(), vars(other).values(), strict=True)
         return SeparableSolution(**{name: np.concatenate(pair) for name, *pair in pairs})
 

@@ -64,7 +64,7 @@ class Budget:
 
     @property
     def polarisations(self) -> set[str]:
-        """Those that had a curve; none where no path has events enough for one."""
+        """The polarisations with a curve; none where no path has events enough for one."""
         return {polarisation for term in self.terms for polarisation in term.vectors}
 
     def variance(self, polarisation: str, name: str | None = None) -> Floats:

@@ -53,7 +53,7 @@ class Anomaly:
 
     @property
     def reason(self) -> str:
-        """What is anomalous, in words."""
+        """The anomaly in words."""
         where = "" if self.frequency_mhz is None else f" at {self.frequency_mhz:g} MHz"
         return f"power {self.factor:.3g} times the usual{where}" + (f"; fitted: {self.kept}" if self.kept else "")
 

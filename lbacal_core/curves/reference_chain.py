@@ -174,7 +174,7 @@ def _parse_spread(content: Mapping[str, Any]) -> GainSpread:
 
 @dataclass(frozen=True)
 class ReferenceChain:
-    """What one curve belongs to.
+    """The reference chain of a curve: the mean of many paths.
 
     Attributes
     ----------

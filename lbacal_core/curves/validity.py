@@ -21,7 +21,7 @@ Instant = int
 
 @dataclass(frozen=True)
 class Scope:
-    """What a version calibrates: the array, a station, or one path (station, antenna, dipole)."""
+    """The scope of a version: the array, a station, or one path (station, antenna, dipole)."""
 
     station: str | None = None
     antenna: int | None = None

@@ -50,7 +50,7 @@ MOST_LEAKAGE = 0.9
 
 @dataclass(frozen=True)
 class Found:
-    """What the series have. Sizes are changes of ln C (of its modes), a slope is one a year.
+    """Steps and slopes of series. Sizes are changes of ln C (of its modes), a slope is one a year.
 
     Attributes
     ----------

@@ -470,7 +470,7 @@ class NoisePrior:
 
 
 def noise_prior(instrument: Instrument, band_mhz: tuple[float, float], weights: Floats) -> NoisePrior:
-    """What is published of the noise of an instrument; nothing, for any but the Superterp.
+    """The published noise of an instrument as a prior; None for any but the Superterp.
 
     The published noise was fitted against a sky power whose integral has a cosine of the zenith angle too many
     (docs/explanation/what-the-simulation-gets-wrong.md). Against our integral, which is larger, the ratio is smaller by

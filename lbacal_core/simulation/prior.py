@@ -65,7 +65,7 @@ class OtherAntenna:
 def exchange_antennas(
     instrument: Instrument, power: Mapping[str, Floats], lst_hours: Floats, antennas: Mapping[str, str | AntennaModel]
 ) -> Iterator[OtherAntenna]:
-    """What antennas make of P_sky, by dipole, shape (lst, freq); those that change nothing are left out."""
+    """P_sky with each other antenna, by dipole, shape (lst, freq); antennas that change nothing are left out."""
     own = load_antenna(antenna_of(instrument)).name
     for name, antenna in antennas.items():
         try:
@@ -103,7 +103,7 @@ OTHER_ANTENNAS = ("hamaker", "short-dipole", "quarter-wave")
 
 @dataclass(frozen=True)
 class Mistake:
-    """What P_sky would be without a mistake.
+    """P_sky without a mistake of the record.
 
     Attributes
     ----------
@@ -121,7 +121,7 @@ class Mistake:
     antenna: str | None = None
 
     def shown(self, dipole: str) -> Floats:
-        """What data can show of the change, shape (lst, freq)."""
+        """The part of the change that data can show, shape (lst, freq)."""
         change = self.change[dipole]
         return change if self.antenna is None else change - change.mean(axis=0)
 

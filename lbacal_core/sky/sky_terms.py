@@ -53,7 +53,7 @@ SHARE_OF_SCATTER = 0.5
 
 @dataclass(frozen=True)
 class Anchor:
-    """What one experiment says of the absolute brightness of the sky.
+    """The absolute brightness of the sky by one experiment.
 
     Attributes
     ----------

@@ -239,7 +239,7 @@ def _noise_of_few_blocks(block: SpectraBlock) -> Floats:
 def predict_daily_variation(
     level: Floats, time_unix: Floats, is_present: NDArray[np.bool_], longitude_deg: float
 ) -> Floats:
-    """What a Fourier series in LST describes of levels, fitted without outliers.
+    """Fit a Fourier series in LST to levels, without outliers, and evaluate it.
 
     Least squares with Tukey's biweight at 4.685 robust sigma, starting from the median.
 

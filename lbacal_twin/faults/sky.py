@@ -28,7 +28,7 @@ class SkyFault(Fault):
         return replace(stages, sky=stages.sky + mask * (changed - stages.sky))
 
     def seen(self, sky: Floats, scene: Scene) -> Floats:
-        """What a path with the fault receives instead of `sky`, shape (antenna, dipole, event, freq)."""
+        """Sky power of a path with the fault, instead of `sky`, shape (antenna, dipole, event, freq)."""
         raise NotImplementedError
 
 

@@ -152,7 +152,7 @@ def get_diff(request: Request, use: UseCases, first: InPath, second: InPath) -> 
 
 
 def write_json(use: Factory, found: InEffect, curves: Sequence[CurveInEffect], known: Knowledge) -> bytes:
-    """What is in effect as JSON, of whose curves most were written before."""
+    """Write the curves in effect as JSON, most of which were written before."""
     written = use.calibrations.write(curves, _write_curve)
     named = {one.budget for one in written if one.budget is not None}
     budgets = {name: found.budgets[name] for name in named if name in found.budgets}

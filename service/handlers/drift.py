@@ -111,7 +111,7 @@ def list_alarms(
     cursor: Annotated[Whole | None, Query(ge=0, le=2**63 - 1)] = None,
     limit: Limit = 100,
 ) -> Response:
-    """What is wrong.
+    """List alarms.
 
     Newest first. `state`: `open` are those that nobody acknowledged, or whose acknowledgement has run out;
     `lasting` (the default) are these and the acknowledged ones; `ended` are over. A problem is one alarm from the
@@ -161,7 +161,7 @@ def list_changes(
     until: str | None = None,
     decision: Literal["proposed", "in_force", "dismissed"] | None = None,
 ) -> Response:
-    """What changed, and when.
+    """List changes with their dates.
 
     In order of station and date: what drift found beyond the threshold of an alarm, what is on record or a person
     entered is in force at once, what an investigation alone found is proposed. Windows are cut where a step is in

@@ -184,7 +184,7 @@ async def read_spectra_body(request: Request, use: UseCases) -> AsyncIterator[by
 
 
 def media_type_of(request: Request) -> str:
-    """What a request says that its body is."""
+    """Find the media type of a request's body."""
     return request.headers.get("content-type", "").partition(";")[0].strip().lower()
 
 

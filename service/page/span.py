@@ -35,7 +35,7 @@ class Span:
 
     @property
     def query(self) -> str:
-        """What an address gets so that the next page obeys it; nothing where both ends are open."""
+        """The query by which the next page has the same range of time; empty where both ends are open."""
         return self.with_more()
 
     def with_more(self, **more: str) -> str:

@@ -32,7 +32,7 @@ STATES = (OPEN, ACKNOWLEDGED, ENDED)
 
 @dataclass(frozen=True)
 class News:
-    """What is wrong, as somebody found it this time.
+    """A problem in its state at the latest look.
 
     Attributes
     ----------

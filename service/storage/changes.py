@@ -42,7 +42,7 @@ def is_same_date(one: tuple[Instant, Instant], other: tuple[Instant, Instant]) -
 
 @dataclass(frozen=True)
 class Change:
-    """What changed, when and by how much.
+    """A change: its date, target and size.
 
     Attributes
     ----------
@@ -119,7 +119,7 @@ class Cut:
 
     @property
     def warning(self) -> str:
-        """What to know of C while one version answers on both sides."""
+        """A warning about C while one version answers on both sides of a cut."""
         who, day = name_path(self.station, self.antenna), format_instant(self.date)[:10]
         return f"{who} changed on {day} ({NOT_REFITTED}): C in effect is the mean over the change"
 
@@ -137,7 +137,7 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Decision:
-    """What a person decided about a change: in force, or dismissed."""
+    """A person's decision on a change: in force, or dismissed."""
 
     decision: str
     at: Instant

@@ -244,7 +244,7 @@ class LedgerStore:
         return {(promotion.scope, instant): promotion for (_, instant), promotion in found.items()}
 
     def latest(self, scopes: Iterable[Scope]) -> dict[Scope, Promotion]:
-        """What answers where the last interval of each scope with a version begins, as the ledger stands now."""
+        """The version in effect at the begin of the last interval of each scope, by the present ledger."""
         of_key = {scope.key: scope for scope in scopes}
         keys = self._keys(of_key)
         statement = select(standing.c.scope, func.max(standing.c.valid_from_us)).group_by(standing.c.scope)

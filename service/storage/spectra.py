@@ -334,7 +334,7 @@ class EventsAsked:
 
 @dataclass(frozen=True)
 class Window:
-    """What a fit reads: the usable events of [since, until), of a scope; None for station means all."""
+    """The spectra of a fit: the usable events of [since, until), of a scope; None for station means all."""
 
     since: Instant
     until: Instant
@@ -346,7 +346,7 @@ Content = tuple[int, int]
 
 
 class SpectraStore(Store):
-    """What is stored of events and spectra."""
+    """Stored events and spectra."""
 
     @property
     def arrivals(self) -> Arrivals:
@@ -494,7 +494,7 @@ class SpectraStore(Store):
         return int(self._connection.execute(select(func.count()).select_from(event)).scalar_one())
 
     def content(self, window: Window) -> Content:
-        """What a window holds: the count of its usable spectra, and the number of the last flag set in it.
+        """The content of a window: the count of its usable spectra, and the number of the last flag set in it.
 
         Spectra are only ever added and flags only ever appended, so the pair is the same only if the content is.
         """

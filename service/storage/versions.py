@@ -169,7 +169,7 @@ class Version:
 
     @property
     def payload_sha256(self) -> str:
-        """What clients verify: of stored curves the hash of then, which tells whether they are what they were."""
+        """The hash that clients verify: of stored curves the hash of then, which shows whether they have changed."""
         return self.stored_sha256 or hash_content(self.payload)
 
     @property

@@ -151,7 +151,7 @@ class Calibrations:
     def in_effect(
         self, at: Instant, paths: Sequence[Scope], as_of: Instant | None = None, *, hold: bool = False
     ) -> InEffect:
-        """What answers for paths at an instant; an error naming the neighbours if nothing does for any of them."""
+        """Curves in effect for paths at an instant; an error naming the neighbours if there is none for any of them."""
         asked, kept = self.database.ask(lambda s: (s.ledger.answers(paths, at, as_of), s.changes.kept(as_of=as_of)))
         of_antenna = _by_antenna(kept)
         answers = _pick_decisive(asked)

@@ -189,7 +189,7 @@ def tell_story(version: Version, first: Version, dipole: str) -> Story:
 
 
 def explain_version(version: Version, first: Version, dipole: str) -> str:
-    """What differs between a version and the first of its polarisation, besides the spectra; in words."""
+    """Explain the differences between a version and the first of its polarisation, besides the spectra; in words."""
     if version.id == first.id:
         return "the first"
     now, before = version.chains.get(dipole), first.chains.get(dipole)
@@ -220,7 +220,7 @@ HALF_A_MONTH_S = 15 * 86_400.0
 
 @dataclass(frozen=True)
 class Step:
-    """What changed at a date, as the report of the watch tells it, and the version in effect then."""
+    """A step at a date, from the report of the watch, and the version in effect then."""
 
     change: Mapping[str, Any]
     calibration: str | None
@@ -241,7 +241,7 @@ class Step:
 
 @dataclass(frozen=True)
 class DriftSeries:
-    """What is known of a scope over time; steps ranked from the most significant."""
+    """The drift of a scope; steps ranked from the most significant."""
 
     scope: Scope
     versions: Sequence[MeanC]

@@ -185,7 +185,7 @@ def tell_change(mean: float, sigma: float, shape: Shape, frequency_mhz: Floats) 
 
 
 def tell_shapes(change: Mapping[str, Any], frequency_mhz: Floats) -> str:
-    """What changed along frequency beside the mean over the band; nothing where the mean says it all."""
+    """Describe changes along frequency beside the mean over the band; empty where the mean describes them."""
     of_mean = abs(change["size"]) / change["sigma"]
     return " and ".join(part.words for part in _rank_shapes(of_mean, change["shape"], frequency_mhz))
 

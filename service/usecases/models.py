@@ -75,7 +75,7 @@ class AdoptedModel:
 
     @property
     def gains_of_change(self) -> Sequence[Gain]:
-        """What the cause that was adopted or withdrawn gained, window by window."""
+        """The gains of the adopted or withdrawn cause, window by window."""
         return self.gains.get(self.change.cause, ())
 
 

@@ -26,7 +26,7 @@ RETRY_S = 60.0
 
 @dataclass(frozen=True)
 class Limits:
-    """What one key may ask for: open parts beside what it asks for, and the longest window of a fit."""
+    """The limits of one key: the most open parts, and the longest window of a fit."""
 
     open_parts: int
     window_days: float

@@ -347,7 +347,7 @@ class Jobs:
             return stores.jobs.get(number)
 
     def records(self, number: int) -> list[Record]:
-        """What is on record of the parts of a job."""
+        """The records of the parts of a job."""
         with self.database.read() as stores:
             return stores.jobs.records(number)
 

@@ -35,7 +35,7 @@ FAILURES_SHOWN = 50
 
 @dataclass(frozen=True)
 class State:
-    """What an operator looks at. `problem` is why the service is not ready; None if it is."""
+    """The status for an operator. `problem` is why the service is not ready; None if it is."""
 
     problem: str | None
     processes: Sequence[Process]
@@ -136,12 +136,12 @@ class Overview:
 
     @property
     def without_data(self) -> int:
-        """Those that are told the mean of others."""
+        """Paths without data of their own, which are served the mean of others."""
         return sum(station.without_data for station in self.stations)
 
     @property
     def paths_in_effect(self) -> int:
-        """Those with data behind the version in effect at the last event."""
+        """Paths with data in the version in effect at the last event."""
         return sum(station.in_effect for station in self.stations)
 
 
@@ -182,7 +182,7 @@ def _is_member(version: Version, path: Scope) -> bool:
 
 
 def tell_problems(state: State, overview: Overview, stopped: Sequence[str]) -> list[str]:
-    """What is not all right, the worst first; nothing where everything is."""
+    """List the problems, the worst first; empty where there is none."""
     found = [] if state.problem is None else [f"The service is not ready: {state.problem}."]
     found += [f"{sentence}." for sentence in state.stuck]
     silent = overview.paths - overview.paths_in_effect - overview.without_data

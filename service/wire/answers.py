@@ -96,7 +96,7 @@ def describe_curve_in_effect(
 
 
 def describe_reference(chain: ReferenceChain, cable: str | None) -> dict[str, Any]:
-    """What a curve was converted from: how many paths, the path's cable, and the hashes that fix the conversion."""
+    """Describe the reference of a curve: number of paths, the path's cable, and the hashes that fix the conversion."""
     jensen = chain.jensen
     return {
         "paths": len(chain.members),

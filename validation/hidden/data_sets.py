@@ -117,7 +117,7 @@ class DataSet:
 
     @property
     def settings(self) -> TwinSettings:
-        """What is simulated."""
+        """The settings of the simulation."""
         return TwinSettings(stations=(STATION,), events_per_year=self.events)
 
     @property
@@ -157,7 +157,7 @@ class DataSet:
 
     @property
     def scene(self) -> Scene:
-        """What surrounds the station."""
+        """The surroundings of the station."""
         return self.detector.station.scene
 
     def spectra(self, faults: Sequence[Fault] = ()) -> Spectra:
@@ -171,7 +171,7 @@ class DataSet:
         return campaign.spectra.select(event % 2 == self.half)
 
     def ask(self, faults: Sequence[Fault] = (), *, is_own_sky: bool = False) -> Answer:
-        """What the finder answers to the data with the faults; the sky power is given and taken at its word.
+        """Search the data with the faults; the sky power is given and taken as exact.
 
         Unless it counts as the package's own, whose differences from other models are projected out, as it does in a
         world that was drawn.

@@ -28,7 +28,7 @@ from lbacal_core.spectra.spectra import Spectra
 
 @dataclass(frozen=True)
 class Answer:
-    """What the finder says of one data set.
+    """The answer of the finder on one data set.
 
     Attributes
     ----------

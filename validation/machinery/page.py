@@ -104,7 +104,7 @@ def _row(claim: Claim, record: Record, history: Sequence[Record], entries: Seque
 
 
 def tell_change(claim: Claim, record: Record, history: Sequence[Record]) -> str:
-    """What was asked of the same claim before, if it had been refuted; empty where nothing was."""
+    """Describe the limit of the same claim before, if it had been refuted; empty where nothing was."""
     told = [claim.asked.changed] if claim.asked.changed else []
     earlier = [
         (one.made_at, other)

@@ -107,7 +107,7 @@ def read_edges(data: Path) -> dict[str, Floats]:
 
 
 def expect_edges(mhz: float, lst: Floats) -> dict[tuple[float, float], Floats]:
-    """What our sky gives a short dipole of some height and direction, K, shape (lst,)."""
+    """Temperature of a short dipole of some height and direction under our sky, K, shape (lst,)."""
     sky = load_sky("gsm-wide")
 
     def seen(antenna: AntennaModel, arm: float) -> Floats:
