@@ -137,7 +137,7 @@ class Chain:
         return np.asarray(np.prod([convert_gain(one, frequency_mhz) for one in (1.0, *self.stages)], axis=0))
 
     def cable_loss(self, frequency_mhz: Floats) -> Floats:
-        """L_coax, shape (freq,)."""
+        """Compute L_coax of each cable, shape (freq,)."""
         gains = [one.gain for one in self.core_stages(frequency_mhz) if one.kind == "cable" and one.gain is not None]
         return gains[0] if gains else convert_gain(self.cable, frequency_mhz, largest=1.0)
 

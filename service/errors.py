@@ -27,7 +27,7 @@ class ForbiddenError(LbacalError):
 
 
 class NotFoundError(LbacalError):
-    """Nothing under that name."""
+    """There is nothing under that name."""
 
     status = 404
     code = "not_found"

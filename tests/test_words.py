@@ -48,6 +48,34 @@ def test_no_docstring_and_no_comment_has_a_fragment_that_begins_with_of(reposito
     assert found == []
 
 
+BARE = re.compile(r"(What|Those|It|Its|That|These|This|Who)\b")
+"""A first word that stands for a noun which the line does not say."""
+NOT_YET = ("lbacal_core/causes/", "lbacal_core/discovery/")
+
+
+def first_lines(source: str) -> Iterator[tuple[str, str]]:
+    """Every public class and function with the first line of its docstring."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef) and not node.name.startswith("_"):
+            yield node.name, (ast.get_docstring(node) or "").partition("\n")[0]
+
+
+def test_the_search_for_first_lines_without_a_noun_finds_one() -> None:
+    source = 'def a():\n    """What is found."""\n\n\ndef b():\n    """Whatever."""\n\n\nclass _C:\n    """Those."""\n'
+    assert [name for name, line in first_lines(source) if BARE.match(line)] == ["a"]
+
+
+def test_every_public_first_line_names_its_subject(repository: Path, tracked: list[Path]) -> None:
+    found = [
+        f"{path}: {name}: {line}"
+        for path in tracked
+        if path.suffix == ".py" and path.parts[0] in PLACES and not str(path).startswith(NOT_YET)
+        for name, line in first_lines((repository / path).read_text())
+        if BARE.match(line)
+    ]
+    assert found == []
+
+
 EXCEPTIONS = {
     "find_excess": "the excess power of an interference line",
     "find_station_excess": "the excess power of an interference line",

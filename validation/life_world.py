@@ -65,7 +65,7 @@ MICROSECONDS = 1e6
 
 
 def at(text: str) -> Instant:
-    """An instant."""
+    """Read an instant."""
     return parse_instant("at", text)
 
 

@@ -39,7 +39,7 @@ def who_says(fault: dict[str, Any]) -> str:
 
 
 def describe_logbook() -> str:
-    """The page."""
+    """Write the page as text."""
     faults = read_logbook()
     lines = [
         "# Which faults that really happened can be found?",

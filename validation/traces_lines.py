@@ -54,7 +54,7 @@ class LineTrial:
 
     @property
     def bias_error(self) -> Floats:
-        """Its standard error, shape (strength,)."""
+        """Standard error of the bias, shape (strength,)."""
         return np.asarray(self.change.std(axis=1, ddof=1) / np.sqrt(self.change.shape[1]))
 
     @property

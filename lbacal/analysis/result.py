@@ -68,7 +68,7 @@ class Result:
 
     @cached_property
     def table(self) -> QTable:
-        """Its numbers with units."""
+        """The numbers of the result with units."""
         if self.as_table is None:
             raise AttributeError(f"{type(self).__name__} has no table")
         return self.as_table()

@@ -147,7 +147,7 @@ class EventNoise:
         return np.asarray(self.shared.T @ self.shared + np.diag(self.own))
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON values."""
+        """Describe the noise as JSON values."""
         return {"shared": self.shared.tolist(), "own": self.own.tolist(), "common": self.common, "source": self.source}
 
     def draw(self, count: int, rng: np.random.Generator, of_station: Floats | None = None) -> Floats:

@@ -63,7 +63,7 @@ class Anomaly:
         return abs(math.log(self.factor))
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON values."""
+        """Describe the anomaly as JSON values."""
         return {**vars(self), "reason": self.reason}
 
 
@@ -83,7 +83,7 @@ class Anomalies:
         return cls(len(ranked) - fitted, fitted, tuple(ranked[:MOST_NAMED]))
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON values."""
+        """Describe the anomalies as JSON values."""
         return {"left_out": self.left_out, "fitted": self.fitted, "worst": [one.as_dict() for one in self.worst]}
 
     def name_worst(self, count: int) -> str:

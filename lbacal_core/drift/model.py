@@ -261,7 +261,7 @@ class Lasting:
     length_months: float
 
     def covariance(self, months: NDArray[np.datetime64]) -> Floats:
-        """Shape (month, month)."""
+        """Covariance between months, shape (month, month)."""
         number = months.astype(np.int64)
         distance = np.abs(number[:, None] - number)
         return np.asarray(self.variance * np.exp(-distance / self.length_months))

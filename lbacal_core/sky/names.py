@@ -46,7 +46,7 @@ class SkyLevel:
         return np.asarray(self.level + self.slope * np.log(frequency_mhz / PIVOT_MHZ))
 
     def sigma(self, frequency_mhz: Floats) -> Floats:
-        """Its standard deviation, shape (freq,)."""
+        """Standard deviation of the level, shape (freq,)."""
         design = np.stack([np.ones_like(frequency_mhz), np.log(frequency_mhz / PIVOT_MHZ)])
         return np.asarray(np.sqrt(np.einsum("if,ij,jf->f", design, self.covariance, design)))
 

@@ -70,7 +70,7 @@ def get_in_effect(
 
 @reads(router, "/v1/budgets/{digest}", wire.BudgetAnswer, 404)
 def get_budget(request: Request, use: UseCases, digest: InPath) -> Response:
-    """One budget.
+    """Get one budget.
 
     The systematic terms that curves share: name, source and, by polarisation, vectors of d ln C along frequency,
     one standard deviation each, independent of each other. A term of the same name is the same for all.
@@ -80,7 +80,7 @@ def get_budget(request: Request, use: UseCases, digest: InPath) -> Response:
 
 @reads(router, "/v1/calibrations/edges", wire.EdgesAnswer, takes_turn=True)
 def list_edges(request: Request, use: UseCases, as_of: str) -> Response:
-    """Where answers change.
+    """List the instants at which answers change.
 
     The instants at which what `effective` answers about a station may change, as known at `as_of`: between two of
     them it is the same. `station` null is the array's reference chain. `lbacal sync` asks at each.
@@ -126,7 +126,7 @@ def get_version(
     version_id: InPath,
     format: Format | None = None,  # noqa: A002 - its name on the wire
 ) -> Response:
-    """One version.
+    """Get one version.
 
     Its inputs, curves and `payload_sha256`, the SHA-256 of `curves` as canonical JSON. The other formats have the
     columns of `effective`, the window of the fit as interval.

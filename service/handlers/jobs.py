@@ -61,7 +61,7 @@ def list_jobs(
 
 @reads(router, "/v1/jobs/{number}", JobAnswer, 404)
 def get_job(request: Request, use: UseCases, number: JobNumber) -> Response:
-    """One job."""
+    """Get one job."""
     return answer(request, describe_job(use.jobs.get(number)))
 
 

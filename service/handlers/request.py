@@ -75,7 +75,7 @@ def require_read(request: Request, use: UseCases, _bearer: Bearer) -> Caller:
 def require_caller(
     request: Request, use: Factory, *scopes: str, authorization: str | None = None, session: str | None = None
 ) -> Caller:
-    """Who asks, if they may; an address that tries many wrong keys is told to wait.
+    """Find the caller, if they may; an address that tries many wrong keys has to wait.
 
     `authorization` is that of the request unless it is given: its header. A session is taken where a form was sent with
     it; and where reads need a key that of the browser, for reads alone.

@@ -41,7 +41,7 @@ class Asset:
 
     @property
     def url(self) -> str:
-        """Its address, which changes with its content."""
+        """The address of the file, which changes with its content."""
         return f"/static/{hashlib.sha256(self.content).hexdigest()[:16]}/{self.name}"
 
 

@@ -29,7 +29,7 @@ class Span:
 
     @property
     def days(self) -> dict[str, str]:
-        """Its ends as dates, as the form of a page shows them; empty where open."""
+        """The ends of the range as dates, as the form of a page shows them; empty where open."""
         ends = {"since": self.since, "until": self.until}
         return {name: "" if at is None else format_instant(at)[:10] for name, at in ends.items()}
 

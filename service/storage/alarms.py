@@ -65,7 +65,7 @@ class News:
 
 @dataclass(frozen=True)
 class Acknowledgement:
-    """Who knows of an alarm, why it is no news, and until when; None is for good."""
+    """A person's acknowledgement of an alarm, with the reason, and until when; None is for good."""
 
     by: str
     at: Instant
@@ -138,7 +138,7 @@ class AlarmStore(Store):
         return self.get(number)
 
     def get(self, number: int) -> Alarm:
-        """One alarm."""
+        """Get one alarm."""
         row = self._connection.execute(select(alarm).where(alarm.c.id == number)).one_or_none()
         if row is None:
             raise NotFoundError(f"no alarm {number}; GET /v1/alarms lists them")

@@ -126,7 +126,7 @@ class Cut:
 
 @dataclass(frozen=True)
 class Evidence:
-    """Who says that there is a change: a source, what it refers to, and when it said so first and no longer."""
+    """A source of a change: its kind, the report that it refers to, and the first and last time at which it held."""
 
     source: str
     ref: str
@@ -241,7 +241,7 @@ class ChangeStore(Store):
         return self._read(statement, as_of)
 
     def get(self, number: int) -> KeptChange:
-        """One of them."""
+        """Get one change."""
         found = self._read(select(change).where(change.c.id == number))
         if not found:
             raise NotFoundError(f"no change {number}; GET /v1/changes lists them")

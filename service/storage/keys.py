@@ -15,7 +15,7 @@ from service.storage.rows import Store, from_row, insert_into
 
 @dataclass(frozen=True)
 class Key:
-    """Who may do what, until when."""
+    """An API key: its number, name, scopes and interval."""
 
     number: int
     name: str | None

@@ -188,7 +188,7 @@ class Alarms:
             return stores.alarms.settle(LOOKED_FOR, present, now)
 
     def newest(self, asked: AlarmsAsked) -> list[Alarm]:
-        """Alarms, newest first."""
+        """List alarms, newest first."""
         with self.database.read() as stores:
             found = stores.alarms.newest(asked, self.clock())
         waiting = self.not_refitted()

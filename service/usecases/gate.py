@@ -168,7 +168,7 @@ def drop_noise(report: dict[str, Any]) -> dict[str, Any]:
 
 
 def name_members(members: Sequence[Mapping[str, Any]], most: int) -> str:
-    """Who of a station changed: paths, and polarisations as a whole."""
+    """Name the members of a station that changed: paths, and polarisations as a whole."""
     named = [
         f"all {one['dipole']}" if one["antenna"] is None else f"antenna {one['antenna']} {one['dipole']}"
         for one in members[:most]

@@ -342,7 +342,7 @@ class Jobs:
     clock: Callable[[], Instant]
 
     def get(self, number: int) -> Job:
-        """One job."""
+        """Get one job."""
         with self.database.read() as stores:
             return stores.jobs.get(number)
 
@@ -352,7 +352,7 @@ class Jobs:
             return stores.jobs.records(number)
 
     def newest(self, *, before: int | None = None, limit: int = 100) -> list[Job]:
-        """Jobs, newest first."""
+        """List jobs, newest first."""
         with self.database.read() as stores:
             return stores.jobs.newest(before=before, limit=limit)
 

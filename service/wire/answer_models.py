@@ -563,7 +563,7 @@ AlarmKind = Literal[
 
 
 class AcknowledgementAnswer(Answer):
-    """Who knows of a problem."""
+    """The person who acknowledged a problem."""
 
     by: str
     at: Moment
@@ -609,7 +609,7 @@ class SizeAnswer(Fitted):
 
 
 class EvidenceAnswer(Answer):
-    """Who says that there is a change."""
+    """The source of a change."""
 
     model_config = ConfigDict(strict=True, extra="forbid", populate_by_name=True)
 

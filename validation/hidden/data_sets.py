@@ -146,7 +146,7 @@ class DataSet:
 
     @cached_property
     def detector(self) -> IdealDetector:
-        """Who knows everything; the differences between models stay free where the finder's sky is its own."""
+        """The ideal detector; differences between models stay free where the finder's sky is the package's own."""
         (station,), _ = draw_stations(
             self.settings, self.instrument, self.sky_power, self.rng(), self.nuisances, self.view
         )

@@ -242,7 +242,7 @@ class Claim:
         return self.asked.verdict(self.interval) if self.n > 0 else UNDECIDED
 
     def as_dict(self) -> dict[str, Any]:
-        """As stored."""
+        """Describe the claim as it is stored."""
         asked = {name: value for name, value in asdict(self.asked).items() if value not in (None, "")}
         rest = {"found": self.found, "interval": list(self.interval), "n": self.n, "unit": self.unit}
         return {"key": self.key, **asked, **rest, "verdict": self.verdict}
