@@ -178,7 +178,7 @@ class _Scaled:
         return _Scaled(**{name: values[at] for name, values in vars(self).items()})
 
     def before(self, n: Floats) -> Floats:
-        """What multiplies x, shape (..., problem, m)."""
+        """Coefficients of x, shape (..., problem, m)."""
         return np.asarray(self.known + np.matmul(n[..., None, :], self.forms)[..., 0, :])
 
     def solve(self, prior: float) -> SeparableSolution:

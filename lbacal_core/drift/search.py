@@ -230,7 +230,7 @@ class _Search(SeriesModel):
         return self._renew(of_rows & ~np.isin(self.all, back))
 
     def report(self) -> Found:
-        """What was found; slopes of all series from a last fit in which each has one."""
+        """Report steps and slopes; slopes of all series from a last fit in which each has one."""
         steps, _ = self.own_chi2()
         at = slice(STEPS, None)
         size = np.einsum("ksj,ks->sjk", self.result.theta[:, :, at], self.scale)

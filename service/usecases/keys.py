@@ -78,7 +78,7 @@ class Keys:
             stores.keys.end_session(_sha256(session))
 
     def require(self, authorization: str | None, *scopes: str, session: str | None = None) -> Caller:
-        """Find the caller, if they may: `authorization` is the header, `session` that of a browser; None where absent."""
+        """Find the caller, if they may: `authorization` is the header, `session` a browser's; None where absent."""
         caller = self._identify(authorization) if session is None else self._recognise(session)
         for scope in scopes:
             if not caller.may(scope):

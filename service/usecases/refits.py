@@ -236,7 +236,7 @@ class _Kept:
 
     @classmethod
     def of(cls, kept: Sequence[_Kept]) -> _Kept:
-        """What several windows left behind, together."""
+        """Join the results of several windows."""
         result: dict[str, Any] = {
             name: [one for each in kept for one in each.result[name]] for name in ("calibrations", "promoted")
         }
