@@ -161,7 +161,7 @@ def redo_paper(
     Parameters
     ----------
     tell
-        Is told every step before it begins.
+        Is called with every step before it begins.
     antennas
         Antennas of each simulated station; None for all.
     data

@@ -85,7 +85,7 @@ def make_study(tell: Callable[[str], None], antennas: int | None = None, seed: i
     Parameters
     ----------
     tell
-        Is told every step before it begins.
+        Is called with every step before it begins.
     antennas
         Antennas a station; None for all 48.
     """

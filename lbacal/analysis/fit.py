@@ -225,7 +225,7 @@ def _describe_chain(chain: ReferenceChain) -> str:
 
 
 def _describe_misfits(misfits: Sequence[CalibrationCurve], *, is_own_sky: bool) -> str:
-    """Which curves noise and the freedom of the sky cannot explain."""
+    """Which curves noise and the sky's prior cannot explain."""
     alone, profiled = (
         [float(getattr(curve, name) or 0.0) for curve in misfits] for name in ("chi2_per_dof", "chi2_per_dof_profiled")
     )

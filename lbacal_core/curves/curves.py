@@ -179,7 +179,7 @@ class SkyOverModel:
         }
 
     def __str__(self) -> str:
-        """What a user is told."""
+        """Describe it for a user."""
         return (
             f"the sky through this antenna is {self.mean:.3f} +- {self.mean_sigma_stat:.3f} (noise) +- "
             f"{self.sigma_laboratory * self.mean:.3f} (laboratory) of the model"

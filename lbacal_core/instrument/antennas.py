@@ -204,7 +204,7 @@ class GainProvenance:
     antenna_sha256: str | None = None
 
     def __str__(self) -> str:
-        """What a user is told."""
+        """Describe it for a user."""
         known = [
             "unknown" if error is None else f"{100 * error:.0f} % ({name})"
             for name, error in (

@@ -110,7 +110,7 @@ class Mistake:
     name
         What is wrong, in words.
     change
-        By dipole, ln of P_sky without the mistake over P_sky, shape (lst, freq), on the grid of the freedom of the sky.
+        By dipole, ln of P_sky without the mistake over P_sky, shape (lst, freq), on the grid of the sky's prior.
     antenna
         The antenna that it is, where the antenna is wrong. The fit absorbs its level in A(nu), which is free, so that
         only its form along LST shows, and the level is what makes C wrong.

@@ -144,7 +144,7 @@ def get_version(
 def get_diff(request: Request, use: UseCases, first: InPath, second: InPath) -> Response:
     """How two versions differ.
 
-    Per dipole the change of C from the first to the second that one and the same path is told, as a fraction and in
+    Per dipole the change of C from the first to the second that one and the same path is served, as a fraction and in
     standard deviations.
     """
     a, b = use.calibrations.pair(first, second)

@@ -114,8 +114,8 @@ def list_alarms(
     """List alarms.
 
     Newest first. `state`: `open` are those that nobody acknowledged, or whose acknowledgement has run out;
-    `lasting` (the default) are these and the acknowledged ones; `ended` are over. A problem is one alarm from the
-    night on which it was found. `next` is the cursor of the next page.
+    `lasting` (the default) are these and the acknowledged ones; `ended` are over. A problem is one alarm since
+    the run that found it. `next` is the cursor of the next page.
     """
     states = CHOICES.get(state, (state,))
     found = use.alarms.newest(AlarmsAsked(states, limit, kind, station, cursor))
@@ -202,9 +202,9 @@ def decide_change(
 ) -> Response:
     """Put a change in force, or dismiss it.
 
-    Whatever its sources say; the next look for due work fits the windows again. `changes` is what its paths would be
-    told, by fits of the year. A change that has ended, or of which this is decided already, is 409. `dry_run=true`
-    answers 200 and writes nothing.
+    Whatever its sources say; the next look for due work fits the windows again. `changes` are those of the curves that
+    its paths would be served, by fits of the year. A change that has ended, or of which this is decided already, is
+    409. `dry_run=true` answers 200 and writes nothing.
     """
     wanted = parse_body(DecisionBody, body)
     foreseen, of_c = use.changes.foresee(number, wanted, caller.name)

@@ -47,7 +47,7 @@ class News:
     content
         The numbers, as JSON values.
     since, since_error_us
-        When it began and the standard deviation of that; another night may date it a little differently.
+        When it began and the standard deviation of that; another run may date it a little differently.
     """
 
     kind: str
@@ -75,7 +75,7 @@ class Acknowledgement:
 
 @dataclass(frozen=True)
 class Alarm:
-    """A problem from the night on which it was raised; `ended` None while it lasts."""
+    """A problem since the run that raised it; `ended` None while it lasts."""
 
     number: int
     news: News

@@ -91,7 +91,7 @@ class Arrivals:
     def add(self, spectra: Spectra, far: Floats | None = None) -> int:
         """Store what is new and return its count; a different spectrum under a stored key is a conflict.
 
-        `far` is power over what is usual of a path, shape (row,), for spectra that wait for the night; NaN for others.
+        `far` is power over the usual power of a path, shape (row,), for spectra that wait; NaN for others.
         """
         times = np.round(spectra.time_unix * 1e6).astype(np.int64)
         events = self._number_events(spectra, times)

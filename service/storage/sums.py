@@ -130,7 +130,7 @@ class Told:
 
 @dataclass(frozen=True)
 class KeptPiece:
-    """A window that no hardware change cuts, the lines of its paths and what these are told."""
+    """A window that no hardware change cuts, the lines of its paths and the curves that these are served."""
 
     since: Instant
     until: Instant

@@ -199,7 +199,7 @@ class Version:
         return None if chain is None else chain.cables.cable_of(str(path.station), int(str(path.antenna)), seconds)
 
     def tell(self, path: Scope, instant: Instant) -> ToldCurve:
-        """The curve as a path is told it, through the cable that the path has at an instant."""
+        """The curve as a path is served it, through the cable that the path has at an instant."""
         station, antenna, dipole = str(path.station), int(str(path.antenna)), str(path.dipole)
         return carry_to_path(
             self.curve_of(dipole), self.chains.get(dipole), station, antenna, dipole, instant / MICROSECONDS

@@ -1,7 +1,7 @@
 """Alarms: what is wrong and lasts, told once; acknowledged by those who know of it.
 
 Steps and slopes come from the watch (`service.usecases.watch`), which follows all paths when their months changed. What
-a look at the database can tell is looked for every night, before its work and after it: paths that went silent or dead
+a look at the database can tell is looked for every day, before the work and after it: paths that went silent or dead
 while others have events, data that stopped coming, versions that misfit, named causes that move C in effect, adopted
 causes that gain too little on new events, work that failed and that nothing made up for.
 """

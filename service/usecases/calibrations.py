@@ -265,7 +265,7 @@ def _list_curves(
     *,
     is_held: bool,
 ) -> Iterator[CurveInEffect]:
-    """The curve that a path is told; of an array that was asked for by itself, those of its reference chains."""
+    """The curve that a path is served; of an array that was asked for by itself, those of its reference chains."""
     if asked.antenna is None:
         for curve in version.curves:
             yield CurveInEffect(asked, curve.dipole, promotion, is_held, trace, None, None, None, epoch, version, at)

@@ -111,7 +111,7 @@ class Changes:
             return mark_refitted(stores, [decided], self.instrument.dipoles)[0]
 
     def foresee(self, number: int, body: DecisionBody, by: str) -> tuple[KeptChange, list[ChangeOfC]]:
-        """The change as it would be decided, and what its paths would be told then, by fits of its year."""
+        """The change as it would be decided, and what that does to the curves of its paths, by fits of the year."""
         with self.database.read() as stores:
             kept = _require_open(stores.changes.get(number), body.decision)
             then = replace(kept, said=Decision(body.decision, self.clock(), by, body.reason))

@@ -319,7 +319,7 @@ class Drift:
 def find_means_in_effect(stores: Stores, scopes: Sequence[Scope]) -> list[MeanC]:
     """Find the band means of C of the versions that answer for some scopes at any time, as the ledger stands now.
 
-    Versions that were replaced night by night, were withdrawn or wait at the gate are left out.
+    Versions that were replaced day by day, were withdrawn or wait at the gate are left out.
     """
     of_scope: dict[Scope, list[Promotion]] = {scope: [] for scope in scopes}
     for promotion in stores.ledger.standing(scopes):

@@ -277,7 +277,7 @@ class Fits:
 
         With a budget given, that of other fits of the station, the versions name it among their inputs. One chain is
         fitted to a path through all windows with the same hardware; a piece of the window that is too small for a fit
-        borrows from those with another.
+        takes from those with another.
         """
         pieces = list(self._fit_pieces(whole, wanted, neighbours, budget))
         versions = [version for made, *_ in pieces for version in made]
@@ -538,7 +538,7 @@ def keep_fit(stores: Stores, block: Sums, made: Made, told: Mapping[TellKey, Tol
 
 
 def keep_told(stores: Stores, block: Sums, pieces: Sequence[KeptPiece], told: Mapping[TellKey, Told]) -> None:
-    """Keep what some scopes are told since, with the lines as they are."""
+    """Keep the curves that some scopes are served since, with the lines as they are."""
     now = [
         replace(piece, told=[told.get((one.scope, piece.since, piece.until), one) for one in piece.told])
         for piece in pieces
@@ -581,7 +581,7 @@ def _list_scopes(lines: Sequence[KeptLines]) -> list[Scope]:
 
 
 def _find_shift(told: Told, continued: Continued) -> float | None:
-    """By how much C may differ from what is told, in standard deviations: the largest of any channel that has both.
+    """By how much C may differ from what is served, in standard deviations: the largest of any channel that has both.
 
     None where that is not decided, or where one of them has a curve that the other lacks.
     """

@@ -117,7 +117,7 @@ class Deeds:
         Parameters
         ----------
         name
-            The `Idempotency-Key` that the caller chose; None does the deed in any case.
+            The `Idempotency-Key` that the caller chose; None does it in any case.
         request
             What was asked, whole; something else under the same name is a conflict.
         """

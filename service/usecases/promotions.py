@@ -29,7 +29,7 @@ Answer = TypeVar("Answer")
 class Change:
     """The change by a promotion for a path over [start, end): the version before and after, and how far C moves.
 
-    C is what the path is told, through the cable that it has at `start`.
+    C is that of the curve that the path is served, through the cable that it has at `start`.
     """
 
     path: Scope

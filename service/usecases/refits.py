@@ -1,4 +1,4 @@
-"""Refits: asked for by an admin, or due because the night found new events; done part by part."""
+"""Refits: asked for by an admin, or due because the daily run found new events; done part by part."""
 
 from __future__ import annotations
 

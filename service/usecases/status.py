@@ -108,8 +108,9 @@ def _explain_waiting(waiting: Mapping[str | None, int], processes: Sequence[Proc
 class StationState:
     """How many paths of a station are calibrated at the last event, and how many of them by their own version.
 
-    A path counts if it has data behind what it is told: its own version, or that of a mean of paths of which it is one.
-    `without_data` are told the mean of others.
+    A path counts if its data are in the curve that it is served: its own version, or that of a mean to which it
+    belongs.
+    `without_data` are served the mean of others.
     """
 
     name: str

@@ -649,7 +649,7 @@ class PathChangesAnswer(Answer):
 
 
 class DecidedAnswer(PathChangeAnswer):
-    """A change as it is decided, and what its paths would be told by fits of its year."""
+    """A change as it is decided, and the curves that its paths would be served by fits of its year."""
 
     changes: list[ChangeAnswer]
 

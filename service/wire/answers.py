@@ -73,7 +73,7 @@ def describe_curve_in_effect(
     *,
     is_held: bool,
 ) -> dict[str, Any]:
-    """A curve as in fit.json, as the path is told it, with the version and the scope that answered."""
+    """A curve as in fit.json, as the path is served it, with the version and the scope that answered."""
     held = "held: nothing is in effect, the nearest in time answers" if is_held else None
     reasons = [text for text in (held, changed, told.reason) if text]
     return {
