@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
@@ -170,6 +171,36 @@ def test_the_code_knows_every_entry_of_the_glossary(repository: Path, tracked: l
         if re.sub(r"[\s_-]+", " ", in_code.lower()) not in known:
             unknown.add(entry)
     assert unknown == set()
+
+
+ORDINARY = {"averaged", "difference", "kind", "missing", "point", "ratio", "report", "seen", "shift"}
+"""Words that mean in a name of a class what they mean elsewhere."""
+
+
+def central_words(sources: Iterable[str]) -> set[str]:
+    """Words of at least two public classes, in singular."""
+    names = {name for source in sources for name in public_names(source) if name[0].isupper()}
+    counts = Counter(word for name in names for word in {word.removesuffix("s") for word in words_of(name)})
+    return {word for word, count in counts.items() if count > 1}
+
+
+def test_central_words_are_those_of_several_classes() -> None:
+    sources = (
+        "class SkyModel:\n    pass\n",
+        "class _Sky:\n    pass\n",
+        "class Skies:\n    pass\nclass SkyModels:\n    pass\n",
+    )
+    assert central_words(sources) == {"sky", "model"}
+
+
+def test_the_glossary_has_every_central_word_of_a_name(repository: Path, tracked: list[Path]) -> None:
+    page = (repository / "docs/glossary.md").read_text().lower()
+    sources = [
+        (repository / path).read_text() for path in tracked if path.suffix == ".py" and path.parts[0] == "lbacal_core"
+    ]
+    missing = {word for word in central_words(sources) if not re.search(rf"\b{word}", page)}
+    assert missing == ORDINARY & missing
+    assert len(central_words(sources)) > 40
 
 
 WORDS_OF_ALL_PAGES = 40_000
