@@ -239,7 +239,7 @@ def test_without_script_everything_can_be_read(browser: Browser, service: Any) -
     context.close()
 
 
-QUESTIONS = re.compile(r"^(?:On the first screen|After (.+)):\n((?:\d+\. .+\n)+)", re.MULTILINE)
+QUESTIONS = re.compile(r"^(?:On the first screen|After (.+)):\n\n((?:\d+\. .+\n)+)", re.MULTILINE)
 
 
 def test_fifteen_questions_are_answered_in_at_most_three_clicks(page: Page, service: Any, repository: Path) -> None:
