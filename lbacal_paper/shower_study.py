@@ -50,8 +50,8 @@ class ShowerStudy:
     sources
         The two calibrations with the stand-in of the reference source.
     terms
-        By today's budget and its term: what one standard deviation changes of the slope below and above the resonance,
-        and of their difference, 10^-3 per MHz; `TOTAL` is their quadrature.
+        By today's budget and its term: changes of the slopes below and above the resonance, and of their difference, by
+        one standard deviation of the term, 10^-3 per MHz; `TOTAL` is their quadrature.
     """
 
     recording: Recording

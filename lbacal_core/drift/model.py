@@ -255,7 +255,7 @@ _FREE = 1e4
 
 @dataclass(frozen=True)
 class Lasting:
-    """The process beside the events' noise: its variance in units of the event noise, and its length in months."""
+    """Correlated noise of months: its variance in units of the event noise, and its correlation length in months."""
 
     variance: float
     length_months: float

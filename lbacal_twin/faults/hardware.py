@@ -181,7 +181,7 @@ class CableTemperature(Fault):
     """The cable's loss in dB follows the air temperature, `size` (fraction) per 10 K."""
 
     def alter(self, stages: Stages, scene: Scene) -> Stages:
-        """The loss of a warm day."""
+        """Raise the loss in dB on warm days."""
         exponent = self.where.mask(scene) * self.size * scene.warmth
         return replace(stages, cable=stages.cable * np.exp(exponent * np.log(stages.cable)))
 
