@@ -69,7 +69,7 @@ class Study:
         return self.instrument.frequency_mhz
 
     def mean_curve(self, dipole: str) -> CalibrationCurve:
-        """The array's curve of one polarisation."""
+        """Find the array's curve of one polarisation."""
         (found,) = [curve for curve in self.array.curves if curve.dipole == dipole]
         return found
 

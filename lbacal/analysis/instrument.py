@@ -34,7 +34,7 @@ class Site:
     height: Any = 0.0
 
     def core(self) -> CoreSite:
-        """The same in plain numbers."""
+        """Convert the site to plain numbers."""
         north, east = (convert_number(angle, u.deg) for angle in (self.latitude, self.longitude))
         return CoreSite(north, east, convert_number(self.height, u.m))
 

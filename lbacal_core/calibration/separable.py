@@ -86,7 +86,7 @@ class SeparableSolution:
     is_merged: NDArray[np.bool_]
 
     def take(self, at: NDArray[Any]) -> SeparableSolution:
-        """Some of the solutions."""
+        """Select some of the solutions."""
         return SeparableSolution(**{name: values[at] for name, values in vars(self).items()})
 
     def join(self, other: SeparableSolution) -> SeparableSolution:

@@ -45,7 +45,7 @@ class SinglePaths:
 
 
 def join_paths(parts: Sequence[SinglePaths]) -> SinglePaths:
-    """All paths of several fits together."""
+    """Join all paths of several fits."""
     return SinglePaths(
         stations=np.concatenate([part.stations for part in parts]),
         cables=np.concatenate([part.cables for part in parts]),

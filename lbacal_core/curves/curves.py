@@ -381,7 +381,7 @@ class CalibrationCurve:
         return np.asarray(self.c / np.sqrt(self.antenna_gain))
 
     def as_not_converged(self) -> CalibrationCurve:
-        """The same curve without values."""
+        """Return the same curve without values."""
         return replace(
             self, status=NOT_CONVERGED, c=None, c_sigma_stat=None, c_sigma_sys=None, chi2_per_dof=None, parameters={},
             flag=None, chi2_per_dof_profiled=None, covariance=None, sky_over_model=None, repeated=None,
@@ -495,7 +495,7 @@ class FitReport:
         return max((curve.status for curve in self.curves), key=STATUSES.index)
 
     def as_dict(self) -> dict[str, Any]:
-        """The content of fit.json."""
+        """Describe the content of fit.json."""
         return {
             "status": self.status,
             "curves": [{**curve.as_dict(), "reference": chain} for curve, chain in self._with_reference()],

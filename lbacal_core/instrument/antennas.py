@@ -65,7 +65,7 @@ class Site:
                 raise BadInputError(f"{place}: {field}", f"{low:g} to {high:g}", f"{value:g}{hint}")
 
     def as_dict(self) -> dict[str, float]:
-        """The fields of an instrument file."""
+        """Describe the site by the fields of an instrument file."""
         return asdict(self)
 
 

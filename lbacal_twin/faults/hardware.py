@@ -51,7 +51,7 @@ class ResonanceFault(Fault):
     """Act through a circuit of dipole and amplifier; otherwise slide the antenna's own curve along frequency."""
 
     def alter(self, stages: Stages, scene: Scene) -> Stages:
-        """The antenna with the fault."""
+        """Change the antenna by the fault."""
         frequency = scene.frequency_mhz
         curve = np.broadcast_to(stages.antenna.mean(axis=(0, 2)), (len(scene.dipoles), frequency.size))
         peak = float(frequency[np.argmax(curve.mean(axis=0))])

@@ -41,13 +41,13 @@ one](how-to/add-a-cause.md).
 
 
 def describe_commands() -> str:
-    """The content of docs/commands.md."""
+    """Write the content of docs/commands.md."""
     add_commands()
     return _COMMANDS + "".join(_describe(["lbacal"], typer.main.get_command(app)))
 
 
 def describe_settings() -> str:
-    """The content of docs/settings.md."""
+    """Write the content of docs/settings.md."""
     rows = {}
     for name, field in Settings.model_fields.items():
         default = "required" if field.default is PydanticUndefined else field.default
@@ -57,7 +57,7 @@ def describe_settings() -> str:
 
 
 def describe_causes() -> str:
-    """The content of docs/causes.md."""
+    """Write the content of docs/causes.md."""
     causes: list[Cause | AntennaCause] = sorted((*CAUSES, *ANTENNA_CAUSES), key=lambda one: one.identifier)
     needs: dict[str, list[str]] = {}
     for cause in causes:

@@ -142,7 +142,7 @@ def get_version(
 
 @reads(router, "/v1/calibrations/{first}/diff/{second}", wire.DiffAnswer, 404)
 def get_diff(request: Request, use: UseCases, first: InPath, second: InPath) -> Response:
-    """How two versions differ.
+    """Compare two versions.
 
     Per dipole the change of C from the first to the second that one and the same path is served, as a fraction and in
     standard deviations.

@@ -61,7 +61,7 @@ def describe_series(series: DriftSeries) -> dict[str, Any]:
 
 
 def describe_month(point: MonthPoint) -> dict[str, Any]:
-    """A month as JSON values."""
+    """Describe a month as JSON values."""
     shape = dict(zip(("tilt", "curvature"), point.shape, strict=True))
     line = dict(zip(("line", "line_low", "line_high"), point.line or (None, None, None), strict=True))
     return fill_answer(wire.DriftMonth, point, month=format_instant(point.month)[:7], **shape, **line)
@@ -135,7 +135,7 @@ def acknowledge_alarm(request: Request, use: UseCases, number: JobNumber, caller
 
 
 def describe_alarm(alarm: Alarm, now: Instant) -> dict[str, Any]:
-    """An alarm as JSON values."""
+    """Describe an alarm as JSON values."""
     news, known = alarm.news, alarm.acknowledgement
     return fill_answer(
         wire.AlarmAnswer, alarm, news, alarm=alarm.number, state=alarm.state_at(now),
@@ -214,7 +214,7 @@ def decide_change(
 
 
 def describe_change(kept: KeptChange) -> dict[str, Any]:
-    """A change as JSON values."""
+    """Describe a change as JSON values."""
     change, said, first = kept.change, kept.said, kept.evidence[0]
     paths = [{"station": change.station, "antenna": antenna, "dipole": dipole} for antenna, dipole in change.paths]
     of_c = None if change.size is None else {"value": change.size, "sigma": change.size_sigma or 0.0}

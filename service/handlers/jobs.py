@@ -80,7 +80,7 @@ def cancel_job(
 
 
 def describe_job(job: Job) -> dict[str, Any]:
-    """A job as JSON values."""
+    """Describe a job as JSON values."""
     listed = {
         name: [one for result in job.results for one in result.get(name, [])]
         for name in ("calibrations", "promoted", "results")

@@ -20,7 +20,7 @@ router = APIRouter(tags=["life"])
 
 @reads(router, "/v1/paths/{station}/{antenna}/{dipole}/life", LifeAnswer, takes_turn=True)
 def get_life_of_path(request: Request, use: UseCases, station: InPath, antenna: Whole, dipole: InPath) -> Response:
-    """The life of a path.
+    """Get the life of a path.
 
     Its epochs between the changes in force, what was in effect when, and the versions, changes, causes, alarms and
     investigations that concern it, each in order of time.
@@ -41,7 +41,7 @@ def get_life_of_array(request: Request, use: UseCases) -> Response:
 
 
 def describe_life(life: Life, now: Instant) -> dict[str, Any]:
-    """A life as JSON values."""
+    """Describe a life as JSON values."""
     return {
         "epochs": [describe_stretch(one.start, one.end, because=one.because) for one in life.epochs],
         "in_effect": [describe_stretch(one.start, one.end, calibration=one.calibration) for one in life.in_effect],

@@ -144,7 +144,7 @@ def list_investigations(
 
 @reads(investigations, "/v1/investigations/{name}", wire.InvestigationAnswer, 404)
 def get_investigation(request: Request, use: UseCases, name: InPath) -> Response:
-    """One investigation, as it was made."""
+    """Get one investigation, as it was made."""
     found = use.investigations.get(name)
     content = {**describe_investigation(found), "inputs": found.inputs, "report": found.report}
     return answer(request, content, cache=IMMUTABLE)

@@ -37,7 +37,7 @@ def problem(status: int, code: str, detail: str, retry_s: float = RETRY_S) -> Re
 
 
 def problem_of(error: LbacalError) -> Response:
-    """An expected failure as a problem."""
+    """Describe an expected failure as a problem."""
     retry_s = error.retry_s if isinstance(error, TooManyError) else RETRY_S
     return problem(error.status, error.code, str(error), retry_s)
 

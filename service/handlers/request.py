@@ -51,7 +51,7 @@ InPath = Annotated[str, Path(pattern=r"^[^\x00-\x1f\x7f]{1,200}$")]
 
 
 def get_factory(request: Request) -> Factory:
-    """The use cases of this application."""
+    """Get the use cases of this application."""
     return cast("Factory", request.app.state.factory)
 
 
@@ -68,7 +68,7 @@ UseCases = Annotated[Factory, Depends(_provide_factory)]
 
 
 def require_read(request: Request, use: UseCases, _bearer: Bearer) -> Caller:
-    """A caller who may read."""
+    """Find the caller, who must be allowed to read."""
     return require_caller(request, use, "read")
 
 

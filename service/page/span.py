@@ -39,7 +39,7 @@ class Span:
         return self.with_more()
 
     def with_more(self, **more: str) -> str:
-        """The same with further parameters."""
+        """Add further parameters."""
         given = {name: value for name, value in {**self.days, **more}.items() if value}
         return f"?{urlencode(given)}" if given else ""
 

@@ -289,7 +289,7 @@ class ChangeStore(Store):
         return self.get((*(one.number for one in same), *numbers)[0])
 
     def end(self, number: int, source: str, now: Instant) -> None:
-        """A source no longer says so."""
+        """Note that a source no longer holds."""
         own = change_evidence.c.change == number, change_evidence.c.source == source
         lasts = change_evidence.c.ended_us.is_(None)
         self._connection.execute(update(change_evidence).where(*own, lasts).values(ended_us=now))

@@ -256,7 +256,7 @@ class JobStore(Store):
         return self._connection.execute(update(job_part).where(is_outdated).values(values)).rowcount
 
     def get(self, number: int) -> Job:
-        """One job by its number."""
+        """Get one job by its number."""
         found = self._with_parts([number])
         if not found:
             raise NotFoundError(f"no job {number}; GET /v1/jobs lists them")

@@ -72,7 +72,7 @@ class KeyStore(Store):
         self._connection.execute(delete(session).where(session.c.sha256 == sha256))
 
     def all(self) -> list[Key]:
-        """All keys, oldest first."""
+        """List all keys, oldest first."""
         return self._keys(None)
 
     def revoke(self, number: int, now: Instant) -> None:

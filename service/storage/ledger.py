@@ -443,7 +443,7 @@ class TagStore(Store):
     """Tags are made once and never changed."""
 
     def find(self, name: str) -> Tag | None:
-        """A tag by its name."""
+        """Find a tag by its name."""
         row = self._connection.execute(select(tag).where(tag.c.name == name)).one_or_none()
         return None if row is None else from_row(Tag, row)
 

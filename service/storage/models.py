@@ -213,7 +213,7 @@ class InvestigationStore(Store):
         add_rows(self._connection, investigation, [row])
 
     def find(self, name: str) -> Investigation | None:
-        """The investigation of that id."""
+        """Find the investigation of that id."""
         row = self._connection.execute(select(investigation).where(investigation.c.id == name)).one_or_none()
         return None if row is None else _value(row)
 

@@ -118,7 +118,7 @@ class Arrivals:
         return {row.sha256: (row.spectra, json.loads(row.warnings or "[]")) for row in rows}
 
     def newest(self) -> Instant | None:
-        """When spectra arrived last."""
+        """Find when spectra arrived last."""
         newest: Instant | None = self._connection.execute(select(func.max(receipt.c.at_us))).scalar_one()
         return newest
 
@@ -490,7 +490,7 @@ class SpectraStore(Store):
         return found
 
     def count_events(self) -> int:
-        """How many events are stored."""
+        """Count the stored events."""
         return int(self._connection.execute(select(func.count()).select_from(event)).scalar_one())
 
     def content(self, window: Window) -> Content:
@@ -576,7 +576,7 @@ class SpectraStore(Store):
         return self._with_counts(self._connection.execute(statement).all())
 
     def event(self, event_id: str) -> StoredEvent:
-        """One event by its name."""
+        """Get one event by its name."""
         rows = self._connection.execute(select(event).where(event.c.event_id == event_id)).all()
         if not rows:
             raise NotFoundError(f"no event {event_id!r} is stored; GET /v1/events lists them")

@@ -189,7 +189,7 @@ class Version:
         return {one.budget for one in covariances if one is not None and one.budget is not None}
 
     def curve_of(self, dipole: str) -> CalibrationCurve:
-        """The curve that serves a dipole."""
+        """Find the curve that serves a dipole."""
         return next(curve for curve in self.curves if curve.dipole in (dipole, None))
 
     def cable_of(self, path: Scope, instant: Instant) -> str | None:
@@ -418,7 +418,7 @@ class BudgetStore(Store):
         add_rows(self._connection, budget, rows)
 
     def get(self, digest: str) -> dict[str, Any]:
-        """One budget as JSON values."""
+        """Get one budget as JSON values."""
         found = self.get_many([digest])
         if not found:
             raise NotFoundError(f"no budget {digest!r}; a curve names its own in covariance.systematic.budget")

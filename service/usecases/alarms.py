@@ -254,7 +254,7 @@ def _silent(stores: Stores) -> dict[Scope, Instant]:
 
 
 def count_alarms(stores: Stores, now: Instant) -> AlarmCounts:
-    """How many alarms there are."""
+    """Count the alarms."""
     is_open, is_known = (stores.alarms.count(now, state) for state in (OPEN, ACKNOWLEDGED))
     return AlarmCounts(is_open, is_known, stores.alarms.count_raised(now - DAY_US))
 

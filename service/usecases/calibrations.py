@@ -232,7 +232,7 @@ class Calibrations:
             return stores.budgets.get(digest)
 
     def get(self, version_id: str) -> Version:
-        """A version by its id."""
+        """Get a version by its id."""
         with self.database.read() as stores:
             return stores.versions.get(version_id)
 

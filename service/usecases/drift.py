@@ -311,7 +311,7 @@ class Drift:
             return hash_content([stores.drift.state(), stores.ledger.newest_number()])
 
     def steps(self, count: int) -> list[Step]:
-        """The most significant steps."""
+        """List the most significant steps."""
         with self.database.read() as stores:
             return _steps(stores, Scope(), stores.drift.report(), count)
 

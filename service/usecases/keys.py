@@ -56,7 +56,7 @@ class Keys:
             return stores.keys.add(_sha256(text), scopes, created=now, expires=expires, name=name), text
 
     def list(self) -> list[Key]:
-        """All keys, without their texts."""
+        """List all keys, without their texts."""
         with self.database.read() as stores:
             return stores.keys.all()
 

@@ -77,7 +77,7 @@ class Inputs:
 
 
 def name_inputs(simulation: Simulation) -> Inputs:
-    """The inputs of this process."""
+    """Name the inputs of this process."""
     return Inputs(simulation.instrument.digest(), simulation.sky_power.digest())
 
 

@@ -58,7 +58,7 @@ class Neighbours:
         return np.array([not any(first <= date <= last for date in found) for found in dates])
 
     def and_also(self, window: KeptWindow) -> Neighbours:
-        """The same with one window more."""
+        """Add one window."""
         return replace(self, windows=[*self.windows, window])
 
 

@@ -58,7 +58,7 @@ def describe_stretch(start: Instant | None, end: Instant | None, **also: Any) ->
 
 
 def describe_promotion(promotion: Promotion) -> dict[str, Any]:
-    """One line of the ledger."""
+    """Describe one line of the ledger."""
     return fill_answer(PromotionLine, promotion, promotion=promotion.number)
 
 
