@@ -45,7 +45,7 @@ def get_in_effect(
     gap: Literal["error", "hold"] = "error",
     format: Format | None = None,  # noqa: A002 - its name on the wire
 ) -> Response:
-    """The calibration in effect on a date.
+    """Find the calibration in effect on a date.
 
     `at` (or `mjd`) is when the data were taken, `as_of` when the question is asked: pin it to get the same answer
     for ever, or ask by a `tag`, which does that under a name. A path is answered by its own version, else its

@@ -36,7 +36,7 @@ def get_drift(
     antenna: AntennaQuery = None,
     dipole: str | None = None,
 ) -> Response:
-    """C over time, against the first year.
+    """Show C over time, relative to the first year.
 
     For the array, a station, or one path: the band mean of C of every version, C of every month over that of the
     path's first whole year (for many paths the median and the middle 68 %) with what offset, season and slope make

@@ -30,13 +30,13 @@ def get_life_of_path(request: Request, use: UseCases, station: InPath, antenna: 
 
 @reads(router, "/v1/stations/{station}/life", LifeAnswer, takes_turn=True)
 def get_life_of_station(request: Request, use: UseCases, station: InPath) -> Response:
-    """The life of a station, as that of a path."""
+    """Get the life of a station, as that of a path."""
     return answer(request, describe_life(use.lives.of(station), use.clock()))
 
 
 @reads(router, "/v1/life", LifeAnswer, takes_turn=True)
 def get_life_of_array(request: Request, use: UseCases) -> Response:
-    """The life of the array, as that of a path."""
+    """Get the life of the array, as that of a path."""
     return answer(request, describe_life(use.lives.of(None), use.clock()))
 
 
