@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
@@ -64,7 +63,7 @@ def write_page(records: Iterable[Record], history: Sequence[Record], entries: Se
             line for name in images if (IMAGES / name).is_file() for line in (f"![{images[name]}](images/{name})", "")
         ]
     lines += ["## What is not shown", "", LIMITS.rstrip(), "", *_open_claims(by_proof), ""]
-    lines += ["## Entered, no result", "", _count_blocks(without_result([*records, *history], entries)), ""]
+    lines += ["## Entered, no result", "", *_tell_blocks(without_result([*records, *history], entries)), ""]
     return "\n".join(lines)
 
 
@@ -76,10 +75,13 @@ def renew_page() -> Path:
     return path
 
 
-def _count_blocks(entries: Iterable[Entry]) -> str:
-    """Every part that has blocks without a result, and how many; the ledger has seeds, dates and commits."""
-    blocks = Counter(name_of(one.proof, one.part) for one in entries)
-    return f"Blocks of the ledger: {', '.join(f'{name} {count}' for name, count in blocks.items())}."
+def _tell_blocks(entries: Iterable[Entry]) -> list[str]:
+    """Every part that has blocks without a result, with their seeds; the ledger has dates and commits."""
+    blocks: dict[str, list[str]] = {}
+    for one in entries:
+        blocks.setdefault(name_of(one.proof, one.part), []).append(f"{one.first}-{one.block.end - 1}")
+    told = "; ".join(f"{name} {', '.join(seeds)}" for name, seeds in blocks.items())
+    return [f"Seeds of the ledger: {told}."] if told else []
 
 
 def _count_hours(by_proof: Mapping[str, Sequence[Record]]) -> str:
@@ -137,7 +139,7 @@ def _open_claims(by_proof: Mapping[str, Sequence[Record]]) -> list[str]:
         ]
         if keys:
             undecided.append(f"{record.name} {', '.join(keys)}")
-    return [*refuted, "", f"{OPEN}{'; '.join(undecided)}."]
+    return [*refuted, "", f"{OPEN}{'; '.join(undecided)}."] if undecided else refuted
 
 
 def _without_beginning(claim: Claim, before: Claim | None) -> str:
