@@ -57,7 +57,7 @@ class Source(Protocol):
 
 @dataclass(frozen=True)
 class Question:
-    """What is asked of `effective`, as far as a cache can answer it."""
+    """A query of `effective`, as far as a cache can answer it."""
 
     at: Instant
     station: str | None
@@ -178,7 +178,7 @@ class Cache:
         return is_there and self._read_snapshot(tag).holds(asked)
 
     def answer(self, snapshot: Snapshot, asked: Question, kind: str = "json") -> bytes:
-        """What the server answered to a question as of the tag, in one of its formats."""
+        """The answer of the server to a query as of the tag, in one of its formats."""
         if not snapshot.holds(asked):
             what = f"{asked.name} at {format_instant(asked.at)}"
             raise CacheError(

@@ -101,7 +101,7 @@ class Stage:
 
 @dataclass(frozen=True)
 class Chain:
-    """What comes behind the antenna: a list of stages, each a power gain, or a `Stage` that says its noise too.
+    """The signal chain after the antenna: a list of stages, each a power gain, or a `Stage` with its noise.
 
     Attributes
     ----------
@@ -137,7 +137,7 @@ class Chain:
         return np.asarray(np.prod([convert_gain(one, frequency_mhz) for one in (1.0, *self.stages)], axis=0))
 
     def cable_loss(self, frequency_mhz: Floats) -> Floats:
-        """L_coax, shape (freq,)."""
+        """Compute L_coax of each cable, shape (freq,)."""
         gains = [one.gain for one in self.core_stages(frequency_mhz) if one.kind == "cable" and one.gain is not None]
         return gains[0] if gains else convert_gain(self.cable, frequency_mhz, largest=1.0)
 
@@ -167,7 +167,7 @@ def _convert_gain(gain: Any, frequency_mhz: Floats) -> Floats:
 
 
 def mismatch(antenna: Any, load: Any = 50.0, off: complex = 0.0) -> Callable[[Floats], Floats]:
-    """What of an antenna's available power the receiver takes: the gain of a stage of the kind ``load``.
+    """The share of an antenna's available power that the receiver takes: the gain of a stage of the kind ``load``.
 
     Parameters
     ----------

@@ -244,12 +244,12 @@ class Client:
         return self.wait_for(number) if wait else self.job(number)
 
     def job(self, number: int) -> dict[str, Any]:
-        """A job as it is now."""
+        """Get a job as it is now."""
         found: dict[str, Any] = self.get(f"/v1/jobs/{number}")
         return found
 
     def wait_for(self, number: int) -> dict[str, Any]:
-        """A job when it has ended."""
+        """Wait for a job until it has ended."""
         while (job := self.job(number))["state"] not in ENDED:
             time.sleep(POLL_S)
         return job

@@ -10,7 +10,7 @@ from lbacal_core.errors import BadInputError
 
 
 def ask_life(client: Client, station: str | None, antenna: int | None, dipole: str | None) -> dict[str, Any]:
-    """What the server knows of a path, of a station (without antenna and dipole) or of the array (without station)."""
+    """Ask the server for the history of a path, of a station (no antenna and dipole) or of the array (no station)."""
     if (antenna is None) != (dipole is None) or (station is None and antenna is not None):
         raise BadInputError("life", "station, antenna and dipole, a station alone, or nothing", "a part of a path")
     whose = (
@@ -21,7 +21,7 @@ def ask_life(client: Client, station: str | None, antenna: int | None, dipole: s
 
 
 def tell_life(found: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """What happened, in order of time: the day, empty where it is open, and a sentence."""
+    """List the events of a history in order of time: the day, empty where it is open, and a sentence."""
     told: dict[str, Callable[[Any], tuple[str | None, str]]] = {
         "in_effect": lambda one: (
             one["from"],

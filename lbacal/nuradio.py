@@ -83,7 +83,7 @@ class EffectiveCalibrator:
         self._known = {"as_of": as_of, "tag": tag}
 
     def begin(self) -> None:
-        """Nothing to prepare."""
+        """Prepare nothing; modules of NuRadioReco have this function."""
 
     def run(self, event: Any, detector: Any) -> dict[int, str]:
         """Calibrate the channels of all stations of an event; one question a station.
@@ -151,7 +151,7 @@ class NoiseAdder:
         self._rng = np.random.default_rng(seed)
 
     def begin(self) -> None:
-        """Nothing to prepare."""
+        """Prepare nothing; modules of NuRadioReco have this function."""
 
     def run(self, event: Any, detector: Any) -> None:
         """Add noise to the traces of all channels of an event; those of a station have the same length and rate.

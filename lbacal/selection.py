@@ -29,7 +29,7 @@ class Selection:
     stations: tuple[str, ...] = ()
 
     def apply(self, spectra: Spectra) -> Spectra:
-        """The spectra that are chosen."""
+        """Select the chosen spectra."""
         chosen = np.ones(len(spectra), dtype=bool)
         if self.since is not None:
             chosen &= spectra.time_unix >= MICRO * self.since

@@ -56,7 +56,7 @@ def read_model(given: Extended, option: str = "--with") -> Model:
 
 
 def read_open_terms(given: Extended, option: str = "--with") -> list[OpenTerm]:
-    """What a report leaves open beside the findings that are adopted: n of ``R.json#n``.
+    """Read the terms that a report leaves open beside the findings that are adopted: n of ``R.json#n``.
 
     ``R.json`` adopts all of them with an option of `ADOPTING`, and none with another.
     """

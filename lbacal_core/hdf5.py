@@ -26,7 +26,7 @@ _LARGEST_DEFLATION = 1100
 
 @dataclass(frozen=True)
 class Kind:
-    """What a dataset may hold: in words, as a question about its dtype, and what it is read into."""
+    """A type of data sets: its name in words, a test of a dtype, and the type into which it is read."""
 
     words: str
     admits: Callable[[np.dtype[Any]], bool]

@@ -54,7 +54,7 @@ class Provenance:
     notes: Mapping[str, str] = field(default_factory=dict)
 
     def with_note(self, name: str, note: str) -> Provenance:
-        """The provenance with one more note."""
+        """Add a note to the provenance."""
         return replace(self, notes={**self.notes, name: note})
 
     def as_dict(self) -> dict[str, Any]:

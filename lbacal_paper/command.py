@@ -35,8 +35,7 @@ def paper(
 
     Example: lbacal paper --output paper
 
-    Every statement is judged: agree, disagree, undecided, or cannot be tested here, with what is missing; what follows
-    by construction is called that and not counted.
+    Every statement is judged: agree, disagree, undecided, or cannot be tested here, with what is missing.
     """
     from lbacal_paper.everything import redo_paper, write_page
     from lbacal_paper.statements import describe_verdicts

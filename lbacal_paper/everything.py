@@ -32,8 +32,9 @@ from lbacal_paper.shower_study import (
 )
 from lbacal_paper.showers.coreas import Shower, read_coreas
 from lbacal_paper.statements import (
+    BY_CONSTRUCTION,
     DISAGREE,
-    UNDECIDED,
+    JUDGED,
     UNTESTED,
     describe_verdicts,
     load_statements,
@@ -41,36 +42,42 @@ from lbacal_paper.statements import (
 )
 from lbacal_paper.study import make_study
 
-TITLES = {
-    DISAGREE: "Where we disagree",
-    UNDECIDED: "What our numbers leave undecided",
-    UNTESTED: "What cannot be tested here",
-}
 BEGIN, END = "<!-- claims: written by validation/scripts/write_paper_page.py -->", "<!-- end of claims -->"
 
 
 def describe_claims(claims: Sequence[Mapping[str, Any]]) -> str:
-    """The table of all claims, then why we disagree, and in a first sentence what leaves others open or untested."""
+    """A table of the judged claims, why we disagree, what the untested ones need, and which hold by construction."""
     rows = [
         f"| `{one['id']}` | {one['section']} | {one['claim']} | {_published(one)} | {_ours(one)} | {one['verdict']} |"
         for one in claims
+        if one["verdict"] in JUDGED
     ]
     head = ["| id | section | statement | published | ours | verdict |", "|---|---|---|---|---|---|"]
     parts = [f"**{describe_verdicts(claims)}.**", "\n".join([*head, *rows])]
-    for verdict, title in TITLES.items():
-        chosen = _list_reasons({one["id"]: one["how"] for one in claims if one["verdict"] == verdict}, verdict)
-        if chosen:
-            parts.append(f"## {title}\n" + "\n".join(chosen))
-    return "\n\n".join(parts) + "\n"
+    against = [f"- `{one['id']}`: {one['how'].rstrip('.')}." for one in claims if one["verdict"] == DISAGREE]
+    lists = {
+        "Where we disagree": against,
+        "What cannot be tested here": _list_needs(claims),
+        "What holds by construction": _list_by_construction(claims),
+    }
+    return (
+        "\n\n".join([*parts, *(f"## {title}\n" + "\n".join(lines) for title, lines in lists.items() if lines)]) + "\n"
+    )
 
 
-def _list_reasons(reasons: Mapping[str, str], verdict: str) -> list[str]:
-    """A line a reason, whole where we disagree, else its beginning, with all that it stands behind."""
-    end = {DISAGREE: r"\Z", UNTESTED: r"[;:] |\. (?=[A-Z])"}.get(verdict, r"; |\. (?=[A-Z])")
-    names: dict[str, list[str]] = {}
-    for name, how in reasons.items():
-        names.setdefault(re.split(end, how)[0].rstrip("."), []).append(f"`{name}`")
-    return [f"- {', '.join(several)}: {reason}." for reason, several in names.items()]
+def _list_needs(claims: Sequence[Mapping[str, Any]]) -> list[str]:
+    """A line for each thing that is missing, the first sentence of the reasons, with the statements that need it."""
+    statements: dict[str, list[str]] = {}
+    for one in claims:
+        if one["verdict"] == UNTESTED:
+            reason = re.split(r"[;:] |\. (?=[A-Z])", one["how"])[0].rstrip(".")
+            statements.setdefault(reason, []).append(f"`{one['id']}` ({one['section']}), {one['claim']}")
+    return [f"- {'; '.join(several)}: {reason}." for reason, several in statements.items()]
+
+
+def _list_by_construction(claims: Sequence[Mapping[str, Any]]) -> list[str]:
+    names = [f"`{one['id']}`" for one in claims if one["verdict"] == BY_CONSTRUCTION]
+    return [f"{', '.join(names)}."] if names else []
 
 
 def insert_claims(page: str, claims: Sequence[Mapping[str, Any]]) -> str:
@@ -154,7 +161,7 @@ def redo_paper(
     Parameters
     ----------
     tell
-        Is told every step before it begins.
+        Is called with every step before it begins.
     antennas
         Antennas of each simulated station; None for all.
     data

@@ -258,7 +258,7 @@ def true_field(frequency_mhz: Floats) -> Floats:
 
 
 def stand_in_tables(frequency_mhz: Floats) -> tuple[SourceTable, SourceTable]:
-    """What the two laboratories would state: chamber with a floor, and GTEM cell."""
+    """Field tables as the two laboratories would state them: chamber with a floor, and GTEM cell."""
     field, sigma = true_field(frequency_mhz), np.full_like(frequency_mhz, STATED)
     near = near_field_factor(frequency_mhz, LABORATORY_M)
     floor = floor_factor(frequency_mhz, LABORATORY_M, HEIGHT_M, HEIGHT_M, -LEFT_OF_FLOOR)

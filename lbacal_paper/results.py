@@ -245,7 +245,7 @@ PUBLISHED_ELECTRONICS = 6.5
 ZENITH_STEPS = np.linspace(-0.2, 0.2, 9)
 TWO_SIGMA = 4.0
 """Rise of chi2 that excludes a value at two standard deviations."""
-EVENTS_NEEDED = "the background spectra of the Superterp's cosmic-ray events, 2012-2018"
+EVENTS_NEEDED = "the background spectra of the events of 2012-2018"
 YEARS = 7
 
 
@@ -278,7 +278,7 @@ def find_about_calibration(study: Study, budget: Budget, data: Path | None) -> d
         "event-fluctuation": not_testable(
             f"needs {EVENTS_NEEDED}: the scatter of the power of one antenna between events"
         ),
-        "yearly-scatter": not_testable(f"needs {EVENTS_NEEDED}, fitted year by year (`lbacal fit` on each)"),
+        "yearly-scatter": not_testable(f"needs {EVENTS_NEEDED}; `lbacal fit` on those of each year"),
         "no-trend": not_testable(
             f"needs {EVENTS_NEEDED}. With {YEARS} years that scatter by 5 %, a slope is known to {trend:.2f} % a "
             f"year: trends below {2 * trend:.1f} % a year would not be seen, 'no trend' means no more than that"
@@ -551,11 +551,8 @@ def _gain_by_chain(study: Study) -> Result:
 
 # Results on sections 5.1 and 5.2 and appendix A.
 
-TABLES = (
-    "the field tables of the VSQ 1000 in anechoic chamber and GTEM cell (manufacturer, private communication of the "
-    "authors)"
-)
-RECORDED = "the LBAs' recordings of the source in May 2014"
+TABLES = "both field tables of the VSQ 1000 (private communication)"
+RECORDED = "the recordings of the source in May 2014"
 
 
 def find_about_showers(showers: ShowerStudy) -> dict[str, Result]:
@@ -592,10 +589,7 @@ def find_about_showers(showers: ShowerStudy) -> dict[str, Result]:
             f"needs {TABLES} and {RECORDED}. With the stand-in ({both} sigma off the diagonal) residual floor "
             "reflections of 15 % and the near field displace them"
         ),
-        "source-ratio": not_testable(
-            f"needs {TABLES}, {RECORDED}, and the Tunka-Rex ratio of simulated to measured amplitudes (private "
-            "communication)"
-        ),
+        "source-ratio": not_testable(f"needs {TABLES}, {RECORDED}, and the ratio of amplitudes of Tunka-Rex"),
         "source-far-field": Result(
             float(100.0 * (1.0 - size[0])),
             0.0,

@@ -50,8 +50,8 @@ class ShowerStudy:
     sources
         The two calibrations with the stand-in of the reference source.
     terms
-        By today's budget and its term: what one standard deviation changes of the slope below and above the resonance,
-        and of their difference, 10^-3 per MHz; `TOTAL` is their quadrature.
+        By today's budget and its term: changes of the slopes below and above the resonance, and of their difference, by
+        one standard deviation of the term, 10^-3 per MHz; `TOTAL` is their quadrature.
     """
 
     recording: Recording
@@ -167,7 +167,7 @@ def calibrate_with_stand_in(study: Study) -> tuple[SourceCalibration, SourceCali
 
 
 def describe_measured_sky(budget: Budget, showers: ShowerStudy) -> str:
-    """What a sky tied to absolute measurements changes in sections 5.1 and 5.2, in one paragraph."""
+    """Describe the change of sections 5.1 and 5.2 by a sky tied to absolute measurements, in one paragraph."""
     change = 100.0 * np.expm1(np.mean([budget.terms[MEASURED][dipole] for dipole in DIPOLES], axis=0))
     right, tied = (showers.displacements[name] for name in (RIGHT, MEASURED))
     low, high, apart = (

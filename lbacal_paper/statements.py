@@ -57,7 +57,7 @@ class Statement:
 
 @dataclass(frozen=True)
 class Result:
-    """What this project finds about one statement.
+    """The result of this project on one statement.
 
     Attributes
     ----------

@@ -69,7 +69,7 @@ class Study:
         return self.instrument.frequency_mhz
 
     def mean_curve(self, dipole: str) -> CalibrationCurve:
-        """The array's curve of one polarisation."""
+        """Find the array's curve of one polarisation."""
         (found,) = [curve for curve in self.array.curves if curve.dipole == dipole]
         return found
 
@@ -85,7 +85,7 @@ def make_study(tell: Callable[[str], None], antennas: int | None = None, seed: i
     Parameters
     ----------
     tell
-        Is told every step before it begins.
+        Is called with every step before it begins.
     antennas
         Antennas a station; None for all 48.
     """

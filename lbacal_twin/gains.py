@@ -81,7 +81,7 @@ class EventGains:
                 raise BadInputError("event gains: jitter_mhz", "0 to 2", f"{jitter}")
 
     def as_dict(self) -> dict[str, Any]:
-        """The gains as JSON values."""
+        """Describe the gains as JSON values."""
         return asdict(self)
 
     def behind(self, settings: TwinSettings) -> TwinSettings:

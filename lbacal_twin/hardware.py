@@ -121,7 +121,7 @@ def _geometric_mean(values: Floats) -> float:
 
 @dataclass(frozen=True)
 class Scene:
-    """What surrounds one station during a campaign.
+    """The surroundings of one station during a campaign.
 
     Attributes
     ----------
@@ -210,7 +210,7 @@ class Stages:
     adc_noise: Floats
 
     def power_at_converter(self) -> Floats:
-        """What reaches the converter, before its own noise; ADC^2/Ohm/MHz."""
+        """Power at the converter, before its own noise; ADC^2/Ohm/MHz."""
         slope = self.gain * self.antenna * self.cable * self.receiver
         power = self.sky * slope
         power += self.lna_noise * slope + self.rcu_noise * self.receiver

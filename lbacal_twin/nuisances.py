@@ -75,7 +75,7 @@ class Nuisances:
                 )
 
     def as_dict(self) -> dict[str, Any]:
-        """The nuisances as JSON values."""
+        """Describe the nuisances as JSON values."""
         return asdict(self) | {"noisy_stations": list(self.noisy_stations)}
 
 

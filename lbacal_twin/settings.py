@@ -80,7 +80,7 @@ class TwinSettings:
         return max(1, round(self.events_per_year * self.years))
 
     def as_dict(self) -> dict[str, Any]:
-        """The settings as JSON values."""
+        """Describe the settings as JSON values."""
         return asdict(self) | {"stations": list(self.stations)}
 
 

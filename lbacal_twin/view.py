@@ -35,7 +35,7 @@ Weighting = Callable[[Floats, Floats], Floats]
 
 @dataclass(frozen=True)
 class View:
-    """What an instrument's dipoles see of a sky through an antenna; of the default ones unless others are given.
+    """Sky and antenna by which an instrument's P_sky is computed; the default ones unless others are given.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class View:
 
     @classmethod
     def of(cls, instrument: Instrument) -> View:
-        """What an instrument sees of the default sky of its channels through its own antenna."""
+        """The view of an instrument with the default sky of its channels and its own antenna."""
         return cls(instrument, default_sky(instrument.frequency_mhz), instrument.antenna or DEFAULT_ANTENNA)
 
     def response(self, zenith: Floats, azimuth: Floats, frequency_mhz: Floats, turned_deg: float = 0.0) -> Floats:

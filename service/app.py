@@ -37,7 +37,7 @@ GZIP_FROM = 100_000
 
 
 def make_app(factory: Factory) -> FastAPI:
-    """The application on one factory."""
+    """Make the application on one factory."""
     app: FastAPI = FastAPIOffline(
         title="lbacal",
         version=version("lbacal"),

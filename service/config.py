@@ -46,13 +46,13 @@ class Settings(BaseSettings):
     poll_s: float = Field(default=1, gt=0, description="pause of an idle worker between two looks for work, s")
     nightly_utc: str = Field(default="02:00", pattern=_TIME_OF_DAY, description="when due refits are found, UTC")
     quiet_s: float = Field(
-        default=600, ge=0, description="the night waits until no spectra arrived for so long, six times at most, s"
+        default=600, ge=0, description="the daily run waits until no spectra arrived for so long, six times at most, s"
     )
     cut_windows: bool = Field(
         default=True, description="cut the windows of an antenna at dates at which the drift found that it changed"
     )
     nightly_investigations: bool = Field(
-        default=True, description="whether the night also looks for what the simulation gets wrong"
+        default=True, description="whether the daily run also looks for what the simulation gets wrong"
     )
     stale_days: float = Field(
         default=30, ge=0, description="age of the newest event from which on data count as stale, days; 0 = never"

@@ -27,7 +27,7 @@ class ForbiddenError(LbacalError):
 
 
 class NotFoundError(LbacalError):
-    """Nothing under that name."""
+    """There is nothing under that name."""
 
     status = 404
     code = "not_found"
@@ -48,7 +48,7 @@ class NotAcceptableError(LbacalError):
 
 
 class ConflictError(LbacalError):
-    """What was sent contradicts what is stored."""
+    """The request contradicts stored data."""
 
     status = 409
     code = "conflict"

@@ -101,14 +101,14 @@ class Factory:
 
     @cached_property
     def inputs(self) -> Inputs:
-        """What fits are made with here, besides spectra."""
+        """Instrument, sky power and settings that fits are made with here, besides spectra."""
         from service.usecases.orders import name_inputs
 
         return name_inputs(self.simulation)
 
     @cached_property
     def predictions(self) -> Predictions:
-        """What paths should see."""
+        """Predictions of paths."""
         from service.usecases.predictions import Predictions
 
         return Predictions(self.calibrations, self.simulation, self.fits)
@@ -132,21 +132,21 @@ class Factory:
 
     @cached_property
     def payoff(self) -> Payoff:
-        """What adopted causes gain on later events."""
+        """The gain of adopted causes on later events."""
         from service.usecases.payoff import Payoff
 
         return Payoff(self.simulation, self.clock)
 
     @cached_property
     def models(self) -> Models:
-        """What is adopted into the models of stations."""
+        """Causes that are adopted into the models of stations."""
         from service.usecases.models import Models
 
         return Models(self.database, self.fits, self.promotions, self.due, Remembered(1), self.clock)
 
     @cached_property
     def investigations(self) -> Investigations:
-        """What the simulation gets wrong in stored spectra."""
+        """Investigations of stored spectra."""
         from service.usecases.investigations import Investigations
 
         return Investigations(self.database, self.simulation, self.fits, self._limits, self.clock, self.settings.judge)
@@ -165,7 +165,7 @@ class Factory:
 
     @cached_property
     def changes(self) -> Changes:
-        """What changed in paths, and what is decided about it."""
+        """Changes of paths, and the decisions on them."""
         return Changes(self.database, self.instrument, self.promotions, lambda: self.fits, self.clock)
 
     @cached_property
@@ -184,14 +184,14 @@ class Factory:
 
     @cached_property
     def watch(self) -> Watch:
-        """What changed."""
+        """The search for steps, slopes and lost paths."""
         from service.usecases.watch import Watch
 
         return Watch(self.database, self.instrument, self.settings.cut_windows, self.clock)
 
     @cached_property
     def alarms(self) -> Alarms:
-        """What is wrong."""
+        """Alarms: problems that last."""
         from service.usecases.models import find_stopped
 
         return Alarms(
@@ -201,7 +201,7 @@ class Factory:
 
     @cached_property
     def due(self) -> DueWork:
-        """What the night finds to do."""
+        """Due work for the daily run."""
         from service.usecases.due import DueWork
 
         searches = self.investigations if self.settings.nightly_investigations else None
@@ -216,12 +216,12 @@ class Factory:
 
     @cached_property
     def status(self) -> Status:
-        """What an operator looks at."""
+        """The status of the service, for an operator."""
         return Status(self.database, self.clock)
 
     @cached_property
     def deeds(self) -> Deeds:
-        """What is done once under one name."""
+        """Idempotent requests, each done once under its name."""
         return Deeds(self.database, self.clock)
 
     @property

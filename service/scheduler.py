@@ -1,4 +1,4 @@
-"""The scheduler: looks for due work when it starts and every night after, and enqueues it; it does none itself."""
+"""The scheduler: looks for due work when it starts and daily after, and enqueues it; it does none itself."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ def look_for_due_work(factory: Factory) -> list[int]:
 
 
 def look_again(factory: Factory) -> list[int]:
-    """Enqueue failed work whose pause is over, without waiting for the night."""
+    """Enqueue failed work whose pause is over, without waiting for the daily run."""
     return look_for_due_work(factory) if factory.due.has_failed_lately() else []
 
 
 def run_scheduler(factory: Factory, stop: threading.Event) -> None:
-    """Look for due work now, which makes up for any night missed, and then nightly until told to stop."""
+    """Look for due work now, which makes up for missed days, and then daily until asked to stop."""
 
     def look() -> None:
         persist(lambda: look_for_due_work(factory), stop)
@@ -72,7 +72,7 @@ def wait_for_quiet(factory: Factory, stop: threading.Event) -> None:
 
 
 def persist(look: Callable[[], object], stop: threading.Event) -> None:
-    """Look until it succeeds, with ever longer pauses: whatever goes wrong in one look must not end all nights."""
+    """Look until it succeeds, with ever longer pauses: whatever goes wrong in one look must not end all later ones."""
     pause = FIRST_PAUSE_S
     while not stop.is_set():
         try:

@@ -44,7 +44,7 @@ class Worker:
         self._lease_us = round(factory.settings.lease_s * 1e6)
 
     def run(self, stop: threading.Event, *, until_idle: bool = False) -> None:
-        """Work until told to stop, or with `until_idle` until nothing is left to claim."""
+        """Work until asked to stop, or with `until_idle` until nothing is left to claim."""
         database = self._factory.database
         with threadpool_limits(1), Pulse(database, WORKER, self._inputs, self._name):
             while not stop.is_set():

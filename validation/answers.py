@@ -100,7 +100,7 @@ CONSISTENT = "consistent"
 
 @dataclass(frozen=True)
 class Said:
-    """What fit, audit and investigation say of one data set.
+    """The answers of fit, audit and investigation on one data set.
 
     Attributes
     ----------
@@ -176,14 +176,14 @@ def make(trouble: str, seed: int) -> tuple[Spectra, Simulation]:
 
 
 def ask(spectra: Spectra, simulation: Simulation, seed: int) -> tuple[AuditReport, list[FitReport], dict[str, Any]]:
-    """What audit, fits of paths and station, and investigation say."""
+    """Run audit, fits of paths and station, and investigation."""
     audited = audit(spectra, simulation.instrument, others=simulation.models)
     fits = [calibrate(spectra, simulation, scope) for scope in ("antenna", "station")]
     return audited, fits, investigate(spectra, simulation, seed=seed)[0]
 
 
 def read(audited: AuditReport, fits: Sequence[FitReport], content: Mapping[str, Any]) -> Said:
-    """What was said, in causes."""
+    """Read the answers as causes."""
     notes = [one.provenance.notes.get(LIKELY_MISTAKE, "") for one in fits]
     named = [{cause for words, cause in CAUSES_OF_WORDS.items() if words in note} for note in notes]
     checks: dict[str, list[set[str]]] = {WRONG: [], RIGHT: [], UNDECIDED: []}

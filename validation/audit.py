@@ -230,7 +230,7 @@ def judge_paths(rows: Sequence[Row]) -> list[Found]:
 
 
 def judge_unlike(rows: Sequence[Row]) -> list[Found]:
-    """What is said of healthy stations, by how unlike their antennas are."""
+    """Judge the audit of healthy stations, by how unlike their antennas are."""
     found = []
     for unlike in UNLIKE:
         said = [" ".join(row["said"]) for row in rows if row["unlike"] == unlike]

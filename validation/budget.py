@@ -42,7 +42,7 @@ SKY_OF = {"measured": "measured"}
 
 @dataclass(frozen=True)
 class Believed:
-    """What the fit is made with, and how far it may be wrong."""
+    """The inputs of the fit, and how far they may be wrong."""
 
     simulation: Simulation
     changes: Sequence[SkyTerm]

@@ -75,9 +75,6 @@ CLEAN = tuple(
     for name, (ask, count) in KINDS.items()
 )
 PARTS = (*CLEAN, *one_effect.PARTS, *several_effects.PARTS, *no_catalogue.PARTS, *held_out.PARTS)
-IMAGES = {
-    "discovery.png": "Left: probability of detection against the ideal SNR. Right: what each cause keeps of it",
-}
 
 
 def draw(rows: Mapping[str, Sequence[Row]]) -> dict[str, Figure]:

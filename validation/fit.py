@@ -195,7 +195,7 @@ PARTS = (
     Part("published-noise", fit_published_noise, judge, 2000, headlines=("efficiency",), has_figure=True),
     Part("example", fit_example, judge, 1000, needs_shared=True, has_figure=True),
 )
-IMAGES = {"fit.png": "Error of the fit over the Fisher bound, and spread of its pulls, with 95 % intervals"}
+IMAGES = {"fit.png": "Error of the fit over the Fisher bound, and spread of its pulls"}
 
 
 def draw(rows: Mapping[str, Sequence[Row]]) -> dict[str, Figure]:

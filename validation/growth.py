@@ -128,7 +128,7 @@ def _fill_months(factory: Factory, year: int, rng: np.random.Generator) -> None:
 
 
 def make_report(years: int, rng: np.random.Generator) -> dict[str, Any]:
-    """What a watch finds: steps of single paths every year, a slope of every path, trends from the third year on."""
+    """Make the report of a watch: steps of single paths every year, a slope of every path, trends from year three."""
     shape = {name: {"value": 0.0, "sigma": 0.001} for name in ("tilt", "curvature")}
     changes = []
     for k in range(STEPS_A_YEAR * years):
@@ -182,7 +182,7 @@ def _fill_jobs(factory: Factory, year: int) -> None:
 
 
 def requests(years: int, kept: int) -> dict[str, Callable[[TestClient, int], Any]]:
-    """What is asked, by name; each takes the client and the number of the turn."""
+    """The requests by name; each takes the client and the number of the turn."""
     path: dict[str, Any] = {"station": "CS002", "antenna": 17, "dipole": "X"}
     newest = make_version(Scope("CS002", 17, "X"), FIRST + years - 1, 0, np.random.default_rng(0)).id
     older = make_version(Scope("CS002", 17, "X"), FIRST, 0, np.random.default_rng(0)).id

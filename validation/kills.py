@@ -60,7 +60,7 @@ SETTINGS: dict[str, Any] = {"lease_s": 3, "poll_s": 0.1, "gate_error": 0.5, "gat
 
 @dataclass(frozen=True)
 class Told:
-    """What a path is told: by which version, C and its statistical error, shape (freq,)."""
+    """The curve that a path is served: its version, C and its statistical error, shape (freq,)."""
 
     version: str
     c: Floats
@@ -268,7 +268,7 @@ def _compare_tags(address: str, record: Record) -> tuple[int, int]:
 
 @dataclass(frozen=True)
 class Left:
-    """What a run left in the database."""
+    """The content of the database after a run."""
 
     spectra: int
     ledger: set[int]

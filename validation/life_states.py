@@ -179,7 +179,7 @@ def require(holds: bool, told: str) -> None:
 
 @dataclass
 class InEffect:
-    """What was observed at a probe: the version that somebody, and not the night, put there, and in which state."""
+    """The state at a probe: the version that somebody, and not the daily run, put there, and in which state."""
 
     calibration: str | None
     state: Any
@@ -189,7 +189,7 @@ Place = tuple[Scope, Instant]
 
 
 def read_in_effect(stores: Stores) -> dict[Place, Promotion | None]:
-    """What decides for each scope at each probe."""
+    """Read the deciding promotion of each scope at each probe."""
     asked = [(scope, when) for scope in dict.fromkeys(scope for scope, _ in SCOPES) for when in PROBES]
     said = stores.ledger.decisive_at(asked)
     return {place: said.get(place) for place in asked}
@@ -202,7 +202,7 @@ def piece_at(pieces: Sequence[Piece], when: Instant) -> Piece | None:
 
 @dataclass
 class Told:
-    """What was seen of a service: what people put where, and what was in effect in each state where nobody ever did."""
+    """The observations of a service: acts of people, and versions in effect in each state without acts."""
 
     observed: dict[Place, InEffect] = field(default_factory=dict)
     touched: set[Place] = field(default_factory=set)
@@ -410,7 +410,7 @@ class Life(RuleBasedStateMachine):
         self.do(f"{decision}: {named}", act, is_night=is_night)
 
     def open_changes(self) -> list[KeptChange]:
-        """Those that somebody still says there are."""
+        """The changes that somebody still maintains."""
         return [one for one in self._changes() if one.ended is None]
 
     @rule(data=st.data(), is_part=st.booleans(), is_night=st.booleans())

@@ -65,7 +65,7 @@ MICROSECONDS = 1e6
 
 
 def at(text: str) -> Instant:
-    """An instant."""
+    """Read an instant."""
     return parse_instant("at", text)
 
 
@@ -332,7 +332,7 @@ class _Window:
 
 
 def natural(months: Sequence[Month], changes: Sequence[KeptChange]) -> dict[tuple[Scope, str], list[Piece]]:
-    """What every path, the station and the array has, by scope and dipole."""
+    """The versions of every path, the station and the array by the rules, by scope and dipole."""
     cuts = [cut for one in changes for cut in one.cuts]
     dates = {antenna: sorted({cut.date for cut in cuts if cut.antenna == antenna}) for antenna in ANTENNAS}
     found: dict[tuple[Scope, str], list[Piece]] = {}

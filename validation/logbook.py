@@ -6,20 +6,18 @@ python -m validation.logbook writes docs/logbook.md anew.
 from __future__ import annotations
 
 import tomllib
-from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from lbacal_core.causes.grammar import as_equation, in_words, sentence
-from validation.machinery.tables import write_table
+from lbacal_core.causes.grammar import in_words, sentence
 
 PAGE = Path(__file__).parents[1] / "docs" / "logbook.md"
 SAID_BY = {
-    "catalogue": "a cause of the catalogue",
-    "grammar": "a sentence",
-    "audit": "the audit",
-    "input": "nobody: it is told",
-    "nobody": "nobody",
+    "catalogue": "By a cause of the catalogue",
+    "grammar": "By a sentence",
+    "audit": "By the audit",
+    "input": "By nobody, because it is an input",
+    "nobody": "By nobody",
 }
 
 
@@ -32,36 +30,32 @@ def read_logbook() -> list[dict[str, Any]]:
 
 
 def who_says(fault: dict[str, Any]) -> str:
-    """Who can say a fault, and how; or why nobody can."""
+    """How a fault is found, or why nobody can find it; empty for the audit, whose checks have names of their own."""
     if fault["by"] == "catalogue":
         return f"`{fault['cause']}`"
     if fault["by"] == "grammar":
-        template = sentence(fault["place"], tuple(fault["law"]), tuple(fault["course"]))
-        return f"{in_words(template)}: {as_equation(template)}"
-    return str(fault.get("why", SAID_BY[fault["by"]]))
+        return in_words(sentence(fault["place"], tuple(fault["law"]), tuple(fault["course"])))
+    return str(fault.get("why", ""))
 
 
 def describe_logbook() -> str:
-    """The page."""
+    """Write the page as text."""
     faults = read_logbook()
-    counts = Counter(fault["by"] for fault in faults)
-    said = ", ".join(f"{counts[key]} by {words}" for key, words in SAID_BY.items())
-    rows = [
-        [fault["when"], f"[{fault['instrument']}]({fault['source']})", fault["seen"], fault["was"], who_says(fault)]
-        for fault in faults
+    lines = [
+        "# Which faults that really happened can be found?",
+        f"{len(faults)} faults of antennas and arrays like those here, from public logs. A sentence names [place, law",
+        "along frequency and course in time](explanation/what-the-simulation-gets-wrong.md#what-no-catalogue-lists).",
     ]
-    return "\n".join(
-        [
-            "# Logbook: faults that really happened",
-            "",
-            f"{len(faults)} faults of antennas and arrays like those here, from public logs: {said}.",
-            "What nobody can say must be declined. A sentence names place, law along frequency and course in time",
-            "([how](explanation/what-the-simulation-gets-wrong.md)).",
-            "",
-            *write_table(["when", "where", "seen", "was", "who says it, and how"], rows),
-            "",
-        ]
-    )
+    for key, title in SAID_BY.items():
+        own = [fault for fault in faults if fault["by"] == key]
+        lines += ["", f"## {title}: {len(own)}", *map(_describe, own)]
+    return "\n".join([*lines, ""])
+
+
+def _describe(fault: dict[str, Any]) -> str:
+    how = who_says(fault)
+    seen = f"- {fault['when']}, [{fault['instrument']}]({fault['source']}): {fault['seen']}"
+    return f"{seen}. *Cause:* {fault['was']}.{f' *Here:* {how}.' if how else ''}"
 
 
 if __name__ == "__main__":

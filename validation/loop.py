@@ -180,7 +180,7 @@ class Service:
         raise LookupError(f"no version of {since} to {until} with model {model}")
 
     def in_effect(self) -> list[Any]:
-        """What the station and its paths are told in the middle of every year, or nothing; bit by bit."""
+        """Curves that the station and its paths are served in the middle of every year, or nothing; bit by bit."""
         paths = [STATION, *select_paths(self.factory.instrument, STATION.station, None, None)]
         return [self._told_at((start_of_year(y) + start_of_year(y + 1)) // 2, paths) for y in (2014, 2015, 2016)]
 

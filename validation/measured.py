@@ -257,6 +257,3 @@ PARTS = (
     Part("tables", partial(ask_one, tables_questions), judge_variants, 13, by("words"), **FIXED),
     Part("others", partial(ask_one, other_questions), judge_others, 5, by("words"), **FIXED),
 )
-IMAGES = {
-    "measured-own.png": "Measured LOFAR curve, X, Y and their difference, with the simulation before and after",
-}

@@ -92,7 +92,7 @@ class Moved(Fault):
 
 
 def draw_move(kind: str, where: Where, rng: np.random.Generator) -> Moved:
-    """What moves, at a date at least half a year from the ends."""
+    """Draw the path, the date at least half a year from the ends, and the size of a change."""
     date, sign = float(START_2014 + rng.uniform(0.5, YEARS - 0.5) * YEAR_S), float(rng.choice([-1.0, 1.0]))
     shape, metres = (0.0,), 0.0
     if kind == "step":

@@ -56,7 +56,7 @@ def tell_unlike(seed: int) -> Row:
 
 
 def compare_scopes(reports: Mapping[str, FitReport], campaign: Campaign, silent: str) -> Row:
-    """What every path is told by each kind of answer, against the truth; one station gave no spectra."""
+    """Compare the curve of every path by each kind of answer with the truth; one station gave no spectra."""
     heard = [one.station for one in campaign.truth.stations if one.station != silent]
     return {
         "own": _compare(reports["antenna"], campaign, heard),
@@ -127,7 +127,7 @@ def judge(rows: Sequence[Row]) -> list[Found]:
 
 
 def judge_unlike(rows: Sequence[Row]) -> list[Found]:
-    """What lies within two sigma, and the error that a path is told, by how unlike antennas are."""
+    """Judge coverage of two sigma, and the error that a path is served, by how unlike antennas are."""
     found = []
     for unlike in UNLIKE:
         some, end = [row for row in rows if row["unlike"] == unlike], name_size(unlike)

@@ -206,6 +206,3 @@ def judge(rows: Sequence[Row]) -> list[Found]:
 
 
 PARTS = (Part("sky_models", compare_all, judge, 1, has_chance=False, needs_shared=True),)
-IMAGES = {
-    "sky-power.png": "Sky power of the models against sidereal time (`validation/scripts/draw_sky_and_antennas.py`)"
-}

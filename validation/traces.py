@@ -149,7 +149,6 @@ PARTS = (
     Part("gain", try_gains, judge_gains, 200, has_figure=True),
     Part("pulse", try_pulses, judge_pulses, 40, has_figure=True),
 )
-IMAGES = {"traces-gain-pulse.png": "Band power by the gain of the converter, and its change by a pulse"}
 
 
 def draw(rows: Mapping[str, Sequence[Row]]) -> dict[str, Figure]:

@@ -30,7 +30,7 @@ LINE_BINS = (LINES_MHZ - BINS[0]).astype(int)
 
 @dataclass(frozen=True)
 class LineTrial:
-    """What a line of each strength did.
+    """The results for a line of each strength.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class LineTrial:
 
     @property
     def bias_error(self) -> Floats:
-        """Its standard error, shape (strength,)."""
+        """Standard error of the bias, shape (strength,)."""
         return np.asarray(self.change.std(axis=1, ddof=1) / np.sqrt(self.change.shape[1]))
 
     @property
@@ -140,7 +140,7 @@ def measure_together(voltages: Sequence[Floats]) -> list[PathBackground]:
 
 @dataclass(frozen=True)
 class LineClaim:
-    """What is stated about lines of one kind: from `limit` on (power over the noise in 1 MHz) they are found.
+    """The claim about lines of one kind: from `limit` on (power over the noise in 1 MHz) they are found.
 
     `allowed` is the bias that they leave then.
     """
@@ -252,7 +252,7 @@ PARTS = (
 
 
 def table_of_lines(rows: Mapping[str, Sequence[Row]]) -> list[str]:
-    """What was found of every kind of line, for the page on traces."""
+    """Tabulate every kind of line, for the page on traces."""
     if not {claim.short for claim in CLAIMS} <= set(rows):
         return []
     table = []
@@ -275,7 +275,7 @@ def table_of_lines(rows: Mapping[str, Sequence[Row]]) -> list[str]:
 
 
 def table_of_bands(rows: Mapping[str, Sequence[Row]]) -> list[str]:
-    """What was found of wide interference, for the page on traces."""
+    """Tabulate wide interference, for the page on traces."""
     if not {"wide-1", "wide-12"} <= set(rows):
         return []
     table = []
@@ -287,7 +287,6 @@ def table_of_bands(rows: Mapping[str, Sequence[Row]]) -> list[str]:
 
 
 TABLES = {"lines": table_of_lines, "bands": table_of_bands}
-IMAGES = {"traces-lines.png": "Lines found by their strength, and what they do to the power of their bin"}
 
 
 def draw(rows: Mapping[str, Sequence[Row]]) -> dict[str, Figure]:

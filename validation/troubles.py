@@ -69,7 +69,7 @@ class Clock:
 
 @dataclass(frozen=True)
 class Trouble:
-    """What happens to a database, and in which words a write that cannot be done is refused meanwhile."""
+    """A failure of a database, and the words in which a write that cannot be done is refused meanwhile."""
 
     url: str
     begin: Callable[[], None]

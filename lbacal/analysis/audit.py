@@ -25,7 +25,7 @@ COLUMNS = ("verdict", "check", "station", "what was found")
 
 @dataclass(frozen=True, repr=False, kw_only=True)
 class Audit(Result):
-    """What the audit of stations says, a line a question."""
+    """The report of an audit of stations, a line a question."""
 
     report: AuditReport
 

@@ -35,7 +35,7 @@ class ErrorBudget(Result):
 
     @classmethod
     def of(cls, shared: Budget, terms: Sequence[BudgetTerm]) -> Self:
-        """The result with these terms."""
+        """Make the result of these terms."""
         nu, first = shared.frequency_mhz, next(iter(terms[0].vectors))
         of_gain = ["C/|H| has no error of the antenna gain."] if any(term.is_of_gain for term in terms) else []
         return cls(

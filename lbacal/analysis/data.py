@@ -59,7 +59,7 @@ class BackgroundSpectra(Spectra):
 
     @classmethod
     def of(cls, spectra: Spectra, **more: Any) -> Self:
-        """The same spectra."""
+        """Make background spectra of spectra."""
         made = cls.__new__(cls)
         vars(made).update({"notes": (), "truth": None, **vars(spectra), **more})
         return made

@@ -44,7 +44,7 @@ NEXT_STEP = "lbacal.investigate(spectra, instrument).save('R.html')"
 
 @dataclass(frozen=True, repr=False, kw_only=True)
 class Calibration(Result):
-    """What a fit found: a curve C(nu) for each path, station or the array, as `report` has them.
+    """The result of a fit: a curve C(nu) for each path, station or the array, as `report` has them.
 
     ``found["S1", 3, "E"]`` is one curve as a table with units, with `mean` and `at`; `table` has all of them, one row a
     curve and channel, with the columns of `lbacal.effective`.
@@ -62,7 +62,7 @@ class Calibration(Result):
 
     @property
     def instrument(self) -> Instrument:
-        """What was calibrated."""
+        """The instrument that was calibrated."""
         return self.simulation.instrument
 
     @property
@@ -225,7 +225,7 @@ def _describe_chain(chain: ReferenceChain) -> str:
 
 
 def _describe_misfits(misfits: Sequence[CalibrationCurve], *, is_own_sky: bool) -> str:
-    """Which curves noise and the freedom of the sky cannot explain."""
+    """Which curves noise and the sky's prior cannot explain."""
     alone, profiled = (
         [float(getattr(curve, name) or 0.0) for curve in misfits] for name in ("chi2_per_dof", "chi2_per_dof_profiled")
     )

@@ -34,14 +34,14 @@ class Site:
     height: Any = 0.0
 
     def core(self) -> CoreSite:
-        """The same in plain numbers."""
+        """Convert the site to plain numbers."""
         north, east = (convert_number(angle, u.deg) for angle in (self.latitude, self.longitude))
         return CoreSite(north, east, convert_number(self.height, u.m))
 
 
 @dataclass(frozen=True)
 class Antenna:
-    """What its dipoles see: a model, by name or file, and the arms.
+    """An antenna of the instrument: the response of its dipoles, by name or file, and the arms.
 
     Attributes
     ----------

@@ -37,7 +37,7 @@ COLUMNS = ("cause", "station", "size", "sigma", "what is wrong")
 
 @dataclass(frozen=True, repr=False, kw_only=True)
 class Extension(Result):
-    """What may extend a simulation: the report of an investigation, or by its number one of its findings."""
+    """An extension of a simulation: the report of an investigation, or by its number one of its findings."""
 
     report: Mapping[str, Any]
     simulation: Simulation
@@ -73,7 +73,7 @@ class Finding(Extension):
 
 @dataclass(frozen=True, repr=False, kw_only=True)
 class Investigation(Extension):
-    """What the simulation gets wrong.
+    """The result of an investigation: verdict, findings, and structure without a name.
 
     Attributes
     ----------
@@ -161,7 +161,7 @@ def _investigate_curve(curve: LstCurve, simulation: Simulation, band_mhz: tuple[
 
 
 class Figures(NamedTuple):
-    """What draws an investigation of spectra, or of an LST curve, and its findings."""
+    """The figures of an investigation of spectra, or of an LST curve, and of its findings."""
 
     draw: Callable[[], Figure]
     draw_on: Callable[[Any], object]

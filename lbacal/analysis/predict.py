@@ -34,7 +34,7 @@ SHOWN = 6
 
 @dataclass(frozen=True, repr=False, kw_only=True)
 class Prediction(Result):
-    """What a path should see: `content` is the answer of ``GET /v1/predictions``.
+    """The expected power of a path: `content` is the answer of ``GET /v1/predictions``.
 
     Attributes
     ----------
@@ -126,7 +126,7 @@ def predict(
     temperature: Any = None,
     with_: Extended = None,
 ) -> Prediction:
-    """What an antenna should see: expected spectrum with covariance, what it is made of, SEFD, noise of events.
+    """Predict the spectrum of an antenna with its covariance, contributions, SEFD, and noise of events.
 
     Parameters
     ----------

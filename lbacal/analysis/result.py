@@ -29,7 +29,7 @@ TABLES = {".ecsv": "ascii.ecsv", ".csv": "ascii.csv", ".fits": "fits", ".h5": "h
 
 @dataclass(frozen=True, repr=False, kw_only=True)
 class Result:
-    """What a verb found.
+    """The result of a function of `lbacal`.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class Result:
 
     @cached_property
     def table(self) -> QTable:
-        """Its numbers with units."""
+        """The numbers of the result with units."""
         if self.as_table is None:
             raise AttributeError(f"{type(self).__name__} has no table")
         return self.as_table()

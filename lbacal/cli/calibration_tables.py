@@ -28,9 +28,7 @@ def check_table(
 
     Example: lbacal check-table C.ecsv effective.fits
 
-    Checked are C and its errors where the flag says that there are any, the covariance against the errors, the budget
-    against its hash and against the errors, C over H against G_ant, arms, and the interval of validity. Exit 0 if all
-    files agree, 1 if one does not, 2 if one cannot be read.
+    Exit 0 if all files agree, 1 if one does not, 2 if one cannot be read.
     """
     from lbacal.calibration_files import read_calibrations
     from lbacal_core.curves.galcal import find_problems

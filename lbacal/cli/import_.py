@@ -35,8 +35,7 @@ def import_(
 
     Example: lbacal import zen.autos.uvh5 --output S.h5 --average 60 --channel-mhz 1 --band 50 200
 
-    Flagged samples count nowhere; quality flags of integrations stay with their spectra. Memory holds the averages and
-    a minute of data.
+    Flagged samples count nowhere; quality flags of integrations stay with their spectra.
     """
     from lbacal.analysis.data import import_data
 

@@ -43,7 +43,7 @@ def require_image(plot: Path | None) -> None:
 
 @contextmanager
 def progress(steps: int) -> Iterator[Callable[[str], None]]:
-    """A bar of some steps; the function that it gives is told what the next step is."""
+    """A bar of some steps; the function that it gives takes the name of the next step."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 

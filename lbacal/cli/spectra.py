@@ -55,9 +55,8 @@ def spectra(
 
     Example: lbacal spectra dumps/2011-07-19 --output S.h5
 
-    Finished station events are kept in S.h5.parts, so a run that was stopped is simply repeated; S.h5.report.json
-    says for every trace what was flagged, dropped or excluded, and why. Exit 1 if some traces failed (the others are
-    written).
+    A run that was stopped is simply repeated; S.h5.report.json says for every trace what was left out, and why. Exit 1
+    if some traces failed (the others are written).
     """
     from lbacal_core.errors import BadInputError, UnreadableFileError
     from lbacal_core.instrument.instrument import load_instrument

@@ -18,7 +18,7 @@ LARGEST_DB = 3.0
 
 
 def draw_page(report: AuditReport, source: str) -> str:
-    """The report as HTML."""
+    """Draw the report as HTML."""
     stations = [
         {"name": station.name, "figure": embed(draw_stations([station])), "hours": station.hours}
         for station in report.stations

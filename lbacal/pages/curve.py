@@ -80,7 +80,7 @@ def draw_ranking(found: CurveInvestigation, on: Any = None) -> Figure:
 
 
 def draw_change(found: CurveInvestigation) -> Figure:
-    """What the named set and the alternatives would do to C(nu) of each dipole."""
+    """Draw the change of C(nu) of each dipole by the named set and by the alternatives."""
     figure = Figure(figsize=(10.5, 3.6), layout="constrained")
     axes: Any = figure.subplots(1, 2, sharey=True)
     frequency = found.fitter.station.channels_mhz

@@ -105,7 +105,7 @@ def _rms(variance: Floats) -> float:
 
 
 def draw_noise(mhz: Floats, terms: Mapping[str, Floats], title: str, unit: str = "K") -> Chart:
-    """What the power of a path is made of, at the start of the chain."""
+    """Draw the contributions to the power of a path, at the start of the chain."""
     series = []
     for k, (name, values) in enumerate(terms.items()):
         titles = [f"{name} {nu:g} MHz: {value:.4g} {unit}" for nu, value in zip(mhz, values, strict=True)]

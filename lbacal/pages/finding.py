@@ -44,7 +44,7 @@ def draw_finding(finding: Mapping[str, Any]) -> dict[str, Chart]:
 
 
 def tell_finding(finding: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """What is known of a finding, a head and a text each."""
+    """Describe a finding by heads, each with a text."""
     size, gain, evidence = finding["size"], finding["gain"], finding["evidence"]
     error = "" if size["sigma"] is None else f" ± {size['sigma']:.2g}"
     yield "size", f"{size['value']:.4g}{error} {size['unit']}"
@@ -83,7 +83,7 @@ def _tell_similar(finding: Mapping[str, Any]) -> Iterator[str]:
 
 
 def draw_station(station: Mapping[str, Any], scores: Sequence[Mapping[str, Any]] = ()) -> dict[str, Chart]:
-    """What no cause explains, the mean over all paths before and after, and the scores of the causes."""
+    """Draw structure without a cause, the mean over all paths before and after, and the scores of the causes."""
     picture = station.get("picture") or {"maps": []}
     charts: dict[str, Chart] = {}
     if "structure" in picture:

@@ -34,7 +34,7 @@ from lbacal_core.spectra.spectra import Spectra
 
 
 def draw_page(report: FitReport, charts: Mapping[str, Sequence[Chart]], source: str, sentences: Sequence[str]) -> str:
-    """The report as one HTML file.
+    """Draw the report as one HTML file.
 
     Parameters
     ----------

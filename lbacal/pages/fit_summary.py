@@ -70,7 +70,7 @@ def _range(values: Sequence[float], form: str) -> str:
 
 
 def explain_chi2(curves: Sequence[CalibrationCurve]) -> str:
-    """What the two numbers of the chain test mean, for these channels."""
+    """Explain the two numbers of the chain test for these channels."""
     dof = curves[0].frequency_mhz.size - 3
     misfits = sum(curve.status == MISFIT for curve in curves)
     widened = sum(

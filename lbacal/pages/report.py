@@ -26,7 +26,7 @@ def fill_report(template: str, package: str = "lbacal.pages", **content: Any) ->
 
 
 def embed(figure: Figure) -> str:
-    """The figure as a base64 PNG."""
+    """Encode the figure as a base64 PNG."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=120)
     return base64.b64encode(buffer.getvalue()).decode()

@@ -361,7 +361,7 @@ class _Arrays(pickle.Unpickler):
     }
 
     def find_class(self, module_name: str, global_name: str, /) -> Any:
-        """What makes an array or a number of NumPy's; a name of NumPy 2 is that of NumPy 1 with an underscore."""
+        """Find the class of an array or number of NumPy's; a name of NumPy 2 is that of NumPy 1 with an underscore."""
         name = f"{module_name}.{global_name}".replace("numpy._core", "numpy.core")
         if name not in self.known:
             raise pickle.UnpicklingError(f"it names {name}, which is no part of an array")

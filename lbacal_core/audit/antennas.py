@@ -310,25 +310,25 @@ SMALLEST_SLOPE_ERROR = 0.1
 
 @dataclass(frozen=True)
 class ExchangeOdds:
-    """Log odds that the dipoles of an antenna bear each other's letter against most of the station.
+    """Log odds that the dipoles of an antenna are exchanged relative to most of the station.
 
     Attributes
     ----------
     rows
         Rows of the antennas that were compared.
     odds
-        Shape (antenna,) of these; which of the two groups is right, the sky decides.
+        The odds of these antennas, shape (antenna,); the sky decides which of the two groups is exchanged.
     """
 
     rows: NDArray[np.int64]
     odds: Floats
 
     def exchanged(self) -> NDArray[np.int64]:
-        """Rows of the antennas that differ from most."""
+        """Select the rows of the antennas that differ from most."""
         return np.asarray(self.rows[self.odds > CERTAIN])
 
     def flipped(self) -> ExchangeOdds:
-        """The same, if most of the station is exchanged."""
+        """Reverse the odds, for a station of which most antennas are exchanged."""
         return ExchangeOdds(self.rows, -self.odds)
 
 

@@ -48,7 +48,7 @@ class AuditReport:
         return all(line.verdict != WRONG for line in self.lines)
 
     def as_dict(self) -> dict[str, Any]:
-        """The report as JSON values."""
+        """Describe the report as JSON values."""
         return {
             "healthy": self.is_healthy,
             "lines": [line.as_dict() for line in self.lines],
@@ -91,7 +91,7 @@ def audit(
 
 
 def audit_antennas(stations: Sequence[AuditedStation], instrument: Instrument) -> AuditReport:
-    """What antennas say against each other, without any model of the sky."""
+    """Compare antennas with each other, without any model of the sky."""
     return _audit(tuple(stations), instrument, None)
 
 
@@ -158,7 +158,7 @@ SHOWN = 4
 
 @dataclass(frozen=True)
 class QuickAudit:
-    """What the quick part says.
+    """The result of the part of the audit that needs no sky.
 
     Attributes
     ----------

@@ -49,7 +49,7 @@ class RecordError:
 
     @property
     def cause(self) -> Description:
-        """What the catalogue calls it."""
+        """The name of the error in the catalogue of causes."""
         return _BY_NAME[_OF_KIND[self.line.kind]]
 
     @property
@@ -129,7 +129,7 @@ NOT_NAMED = (
 
 
 def name_mistake(spectra: Spectra, simulation: Simulation) -> str:
-    """What is wrong with the record of data that P_sky of another record describes better, in the audit's words."""
+    """Name the error of a record, in the audit's words, where P_sky of another record describes the data better."""
     lines = audit(spectra, simulation.instrument, others=simulation.models).lines
     errors = [RecordError(one) for one in lines if one.verdict == WRONG and (one.kind in _OF_KIND or one.candidates)]
     return " ".join(one.sentence for one in errors) or NOT_NAMED

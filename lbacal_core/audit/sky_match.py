@@ -51,7 +51,7 @@ class SkyModels:
     _modes: dict[tuple[Exchange, float, float, str], Complexes] = field(default_factory=dict)
 
     def seen(self, lst_hours: Floats, latitude_deg: float, turned_deg: float = 0.0) -> Seen:
-        """What the station should see if it stood at a latitude with all arms turned, and how models differ in it."""
+        """Power of the sky at a latitude with all arms turned, by the models, and the differences between models."""
 
         def change(exchange: Exchange) -> Floats:
             power = np.stack(
@@ -119,7 +119,7 @@ NORTH_POLE_DEG = 90.0
 
 
 class SkyMatch:
-    """What the models say a station should see, for comparison with any part of its antennas."""
+    """Power of the sky by the models at a station, for comparison with any part of its antennas."""
 
     def __init__(self, station: AuditedStation, instrument: Instrument, models: Callable[[], SkyModels]) -> None:
         self.station, self.instrument, self._models = station, instrument, models

@@ -182,7 +182,7 @@ SMALLEST_NOISE = 1e-3
 
 @dataclass(frozen=True)
 class Seen:
-    """What a station should see of the sky.
+    """Power of the sky that a station should record.
 
     Attributes
     ----------

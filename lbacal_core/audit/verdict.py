@@ -50,7 +50,7 @@ class Line:
     kind: str = ""
 
     def as_dict(self) -> dict[str, Any]:
-        """The line as JSON values."""
+        """Describe the line as JSON values."""
         return {
             "check": self.check,
             "verdict": self.verdict,
@@ -145,7 +145,7 @@ def conclude(
     hours: float = float("inf"),
     base_fits: bool = True,
 ) -> list[Line]:
-    """What is wrong, if anything; else what the data confirm.
+    """Conclude which record is wrong, if any; else which parts of the record the data confirm.
 
     Parameters
     ----------
@@ -231,7 +231,7 @@ def _zone_of(value: float, sigma: float) -> int:
 
 
 def describe(one: Possibility) -> str:
-    """A possibility in words."""
+    """Describe a possibility in words."""
     value, sigma = one.value or 0.0, one.sigma or 0.0
     if one.kind == "clock":
         return f"sidereal time is {60 * value:+.0f} +- {60 * sigma:.0f} min from that of clock and longitude on record"

@@ -60,7 +60,7 @@ MEANING: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class ChainForm:
-    """What data say about the form of the chain.
+    """The form of the chain that data prefer.
 
     Attributes
     ----------
@@ -160,7 +160,7 @@ def _weigh_forms(paths: Paths, simulation: Simulation, forms: Mapping[str, Inter
 
 
 def free_sky(path: PathLines, lst_hours: Floats, prior: SkyPrior | None, dipole: str) -> tuple[Floats, Floats]:
-    """What the sky, free within its prior and by what is left along LST, shifts the lines by, and their covariance.
+    """Shift of the lines by a sky that is free within its prior and by the residuals along LST, and its covariance.
 
     Returns
     -------

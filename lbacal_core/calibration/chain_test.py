@@ -49,7 +49,7 @@ Owner = tuple[str | None, int | None]
 
 
 class Tried(NamedTuple):
-    """The gain of each mistake in a path, and whether noise and the freedom of the sky explain what it leaves."""
+    """The gain of each mistake in a path, and whether noise and the sky's prior explain what it leaves."""
 
     gain: Floats
     fits: NDArray[np.bool_]
@@ -79,7 +79,7 @@ def name_mistakes(found: Sequence[tuple[CalibrationCurve, Tried]], mistakes: Seq
 
 
 def describe_mistakes(mistaken: Mapping[Owner, str]) -> str:
-    """What may be wrong, the most frequent first, with the first antenna or station that shows it."""
+    """Describe the likely mistakes, the most frequent first, with the first antenna or station that shows it."""
     owners: dict[str, list[Owner]] = {}
     for owner, name in mistaken.items():
         owners.setdefault(name, []).append(owner)
@@ -102,7 +102,7 @@ MISFIT_PROBABILITY = 1e-6
 
 @dataclass(frozen=True)
 class ChainTest:
-    """What the test finds in paths.
+    """The result of the chain test of paths.
 
     Attributes
     ----------
@@ -118,7 +118,7 @@ class ChainTest:
 
     @property
     def tried(self) -> list[Tried]:
-        """What was tried in each path."""
+        """The mistakes that were tried in each path."""
         # the gain of a mistake is half of what it takes from chi^2
         fits = ~is_improbable(self.chi2[:, None] - 2.0 * self.gain, self.dof[:, None])
         return [Tried(*one) for one in zip(self.gain, fits, strict=True)]
@@ -130,7 +130,7 @@ class ChainTest:
 
     @property
     def is_misfit(self) -> NDArray[np.bool_]:
-        """Whether noise and the freedom of the sky cannot explain it."""
+        """Whether noise and the sky's prior cannot explain it."""
         return is_improbable(self.chi2, self.dof)
 
 
@@ -152,14 +152,14 @@ class FittedPaths:
     lines
         Lines of these paths.
     n, slope
-        Fitted noise in front, shape (path, r), and s, shape (path, freq). Noise and freedom are taken at these: a
+        Fitted noise in front, shape (path, r), and s, shape (path, freq). Noise and prior are taken at these: a
         search for the N_LNA at which both are widest would always succeed.
     terms
         What each noise constant adds to an intercept.
     is_free
         Channels whose intercept is not tested, shape (path, freq).
     freedom, dipole
-        The freedom of the sky, None where it is taken at its word; and the paths' dipole.
+        The sky's prior, None where it is taken at its word; and the paths' dipole.
     """
 
     power: Floats
@@ -230,7 +230,7 @@ class _Seen:
     columns
         How it answers to the noise constants, shape (number, constant).
     whitener
-        Root of the covariance of r, noise and freedom.
+        Root of the covariance of r, noise and sky.
     """
 
     path: PathLines

@@ -45,7 +45,7 @@ HARMONICS = len(read_prior()["waves"].sizes)
 
 @dataclass(frozen=True)
 class GainWaves:
-    """What data say of gains along LST.
+    """Score and information of gains that follow LST.
 
     Attributes
     ----------
@@ -102,7 +102,7 @@ def waves_of_gain(lst_hours: Floats) -> Floats:
 
 
 def see_gain_waves(fitted: FittedPaths, chain: ChainForms) -> GainWaves | None:
-    """What the mean of a station's paths of one polarisation says of gains along LST.
+    """Fit gains along LST to the mean of a station's paths of one polarisation.
 
     None where P_sky is taken at its word, or where no path was fitted.
     """

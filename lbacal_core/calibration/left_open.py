@@ -43,7 +43,7 @@ class OpenTerm:
         return float(np.mean(has_it)) if has_it else 0.0
 
     def for_mean_of(self, members: Iterable[tuple[str, int]], polarisations: Iterable[str]) -> BudgetTerm:
-        """What it does to the mean of some antennas, as a term of a budget."""
+        """The term of a budget for the mean of some antennas."""
         size = next(iter(self.vectors.values())).shape[1]
         share, none = self.share_of(members), np.zeros((0, size))
         vectors = {p: share * self.vectors.get(p, none) for p in polarisations}

@@ -170,7 +170,7 @@ class ChainForms:
 
     @classmethod
     def of(cls, frequency_mhz: Floats, antenna_gain: Floats, receiver_gain: Floats) -> ChainForms:
-        """The forms of an instrument."""
+        """Make the forms of an instrument."""
         return cls(slope_of_gain(frequency_mhz, antenna_gain), receiver_gain)
 
 
@@ -220,7 +220,7 @@ class Lines:
     shared: SharedNoise
 
     def select(self, paths: NDArray[np.intp]) -> Lines:
-        """Some of the paths."""
+        """Select some of the paths."""
         levels = NoiseLevels(self.levels.radiometer[paths], self.levels.vectors[paths])
         shared = SharedNoise(self.shared.constant[paths], self.shared.behind[paths])
         return Lines(self.slope[paths], self.intercept[paths], self.information[paths], levels, shared)
@@ -480,7 +480,7 @@ class PathLines:
 
 @dataclass(frozen=True)
 class Look:
-    """What is left beside the lines of a path, along the harmonics of the sidereal day.
+    """Residuals of the lines of a path along the harmonics of the sidereal day.
 
     Attributes
     ----------

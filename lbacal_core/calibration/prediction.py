@@ -91,7 +91,7 @@ class EventNoise:
         simulation: Simulation,
         others: Sequence[CalibrationCurve] = (),
     ) -> EventNoise | None:
-        """That of the events that a path's curve was fitted to; None for fewer than a fit needs.
+        """The noise of the events that a path's curve was fitted to; None for fewer than a fit needs.
 
         Parameters
         ----------
@@ -147,7 +147,7 @@ class EventNoise:
         return np.asarray(self.shared.T @ self.shared + np.diag(self.own))
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON values."""
+        """Describe the noise as JSON values."""
         return {"shared": self.shared.tolist(), "own": self.own.tolist(), "common": self.common, "source": self.source}
 
     def draw(self, count: int, rng: np.random.Generator, of_station: Floats | None = None) -> Floats:
@@ -164,7 +164,7 @@ class EventNoise:
         return np.asarray(gain * rng.standard_gamma(1.0 / own, (count, own.size)) * own)
 
     def draw_gains(self, count: int, rng: np.random.Generator, of_station: Floats | None = None) -> Floats:
-        """What events share along frequency alone, as `draw`: the rest is the noise of a trace itself."""
+        """Draw the part of the noise that an event shares along frequency, as `draw`; a trace itself has the rest."""
         amount = rng.standard_normal((count, len(self.shared)))
         if of_station is not None and len(self.shared):
             amount[:, 0] = self.common**0.5 * of_station + (1.0 - self.common) ** 0.5 * amount[:, 0]
@@ -187,7 +187,7 @@ def _split(covariance: Floats, events: int) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True)
 class Acting:
-    """What adopted causes make of the chain of a path at an instant (`discovery.forward`).
+    """The chain of a path at an instant with its adopted causes (`discovery.forward`).
 
     Attributes
     ----------
@@ -290,7 +290,7 @@ def predict_path(
     *,
     is_own: bool = True,
 ) -> Prediction:
-    """What a calibrated path should record at an instant; with adopted causes ask `discovery.forward.predict`.
+    """Predict the record of a calibrated path at an instant; with adopted causes use `discovery.forward.predict`.
 
     Parameters
     ----------
@@ -365,7 +365,7 @@ def curve_alone(simulation: Simulation, station: str, antenna: int, dipole: str,
 def predict_alone(
     simulation: Simulation, station: str, antenna: int, dipole: str, time_unix: float, acting: Acting | None = None
 ) -> Prediction:
-    """What the simulation says of a path that nobody has calibrated: W/MHz in front of the converter, with A(nu) = 1.
+    """Predict the power of a path without calibration: W/MHz at the converter's input, with A(nu) = 1.
 
     Its error is that of the sky, and of the sizes of adopted causes: with these ask `discovery.forward.predict_alone`.
     Noise that the instrument does not state is not in it.

@@ -86,11 +86,11 @@ class SeparableSolution:
     is_merged: NDArray[np.bool_]
 
     def take(self, at: NDArray[Any]) -> SeparableSolution:
-        """Some of the solutions."""
+        """Select some of the solutions."""
         return SeparableSolution(**{name: values[at] for name, values in vars(self).items()})
 
     def join(self, other: SeparableSolution) -> SeparableSolution:
-        """These solutions, then those of another."""
+        """Join the solutions with those of another."""
         pairs = zip(vars(self), vars(self).values(), vars(other).values(), strict=True)
         return SeparableSolution(**{name: np.concatenate(pair) for name, *pair in pairs})
 
@@ -178,7 +178,7 @@ class _Scaled:
         return _Scaled(**{name: values[at] for name, values in vars(self).items()})
 
     def before(self, n: Floats) -> Floats:
-        """What multiplies x, shape (..., problem, m)."""
+        """Coefficients of x, shape (..., problem, m)."""
         return np.asarray(self.known + np.matmul(n[..., None, :], self.forms)[..., 0, :])
 
     def solve(self, prior: float) -> SeparableSolution:

@@ -45,7 +45,7 @@ class SinglePaths:
 
 
 def join_paths(parts: Sequence[SinglePaths]) -> SinglePaths:
-    """All paths of several fits together."""
+    """Join all paths of several fits."""
     return SinglePaths(
         stations=np.concatenate([part.stations for part in parts]),
         cables=np.concatenate([part.cables for part in parts]),
@@ -167,14 +167,14 @@ def _mean_with(
 
 @dataclass(frozen=True)
 class ToldCurve:
-    """A curve as a path is told it.
+    """A curve as a path is served it.
 
     Attributes
     ----------
     curve
         Named after the path; C and its errors are those of its own cable.
     factor
-        C told over C stored, shape (freq,).
+        C served over C stored, shape (freq,).
     cable
         The path's cable at the instant asked for; None where it is not known.
     flag, reason

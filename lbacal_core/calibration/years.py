@@ -45,7 +45,7 @@ FEWEST_EVENTS = 5
 
 @dataclass(frozen=True)
 class Beside:
-    """What is kept of a fit of another window.
+    """The lines of a fit of another window.
 
     Attributes
     ----------
@@ -158,7 +158,7 @@ def _solve(
 
 
 def pick_beside(beside: Sequence[Beside], owner: Owner) -> list[Beside]:
-    """Those of the station and dipole of a path, or of a mean."""
+    """Select the windows of the station and dipole of a path, or of a mean."""
     return [one for one in beside if one.lines.owners[0][::2] == owner[::2]]
 
 
@@ -246,7 +246,7 @@ def _integrate(
 
 @dataclass(frozen=True)
 class Lent:
-    """What another window lends to paths that are too small for a fit.
+    """Lines of another window for paths that are too small for a fit.
 
     Attributes
     ----------
@@ -265,7 +265,7 @@ class Lent:
     def insert_into(
         self, at: NDArray[np.intp], alone: SeparableSolution, is_free: Booleans
     ) -> tuple[NDArray[np.intp], tuple[SeparableSolution, Booleans]]:
-        """These paths among those that are fitted by themselves, and the solution and free intercepts of all."""
+        """Insert small paths among the fitted ones; returns also the solution and free intercepts of all."""
         both = np.concatenate([at, self.at])
         order = np.argsort(both)
         free = np.concatenate([is_free, np.zeros(self.lines.slope.shape, dtype=bool)])

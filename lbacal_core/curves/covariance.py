@@ -64,7 +64,7 @@ class Budget:
 
     @property
     def polarisations(self) -> set[str]:
-        """Those that had a curve; none where no path has events enough for one."""
+        """The polarisations with a curve; none where no path has events enough for one."""
         return {polarisation for term in self.terms for polarisation in term.vectors}
 
     def variance(self, polarisation: str, name: str | None = None) -> Floats:
@@ -82,7 +82,7 @@ class Budget:
         return np.asarray(vectors.T @ vectors)
 
     def as_dict(self) -> dict[str, Any]:
-        """The budget as JSON values."""
+        """Describe the budget as JSON values."""
         return {
             "frequency_mhz": self.frequency_mhz.tolist(),
             "terms": [
@@ -146,7 +146,7 @@ class CurveCovariance:
         return replace(self, own=np.concatenate([self.own, vector[None]]))
 
     def as_dict(self) -> dict[str, Any]:
-        """The covariance as JSON values."""
+        """Describe the covariance as JSON values."""
         shared = {} if self.common is None else {"common": _rows(self.common)}
         return {
             "statistical": {"factor": _rows(self.factor), "diagonal": _rows(self.diagonal[None])[0], **shared},

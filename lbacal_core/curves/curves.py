@@ -53,7 +53,7 @@ class Anomaly:
 
     @property
     def reason(self) -> str:
-        """What is anomalous, in words."""
+        """The anomaly in words."""
         where = "" if self.frequency_mhz is None else f" at {self.frequency_mhz:g} MHz"
         return f"power {self.factor:.3g} times the usual{where}" + (f"; fitted: {self.kept}" if self.kept else "")
 
@@ -63,7 +63,7 @@ class Anomaly:
         return abs(math.log(self.factor))
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON values."""
+        """Describe the anomaly as JSON values."""
         return {**vars(self), "reason": self.reason}
 
 
@@ -83,7 +83,7 @@ class Anomalies:
         return cls(len(ranked) - fitted, fitted, tuple(ranked[:MOST_NAMED]))
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON values."""
+        """Describe the anomalies as JSON values."""
         return {"left_out": self.left_out, "fitted": self.fitted, "worst": [one.as_dict() for one in self.worst]}
 
     def name_worst(self, count: int) -> str:
@@ -179,7 +179,7 @@ class SkyOverModel:
         }
 
     def __str__(self) -> str:
-        """What a user is told."""
+        """Describe it for a user."""
         return (
             f"the sky through this antenna is {self.mean:.3f} +- {self.mean_sigma_stat:.3f} (noise) +- "
             f"{self.sigma_laboratory * self.mean:.3f} (laboratory) of the model"
@@ -381,7 +381,7 @@ class CalibrationCurve:
         return np.asarray(self.c / np.sqrt(self.antenna_gain))
 
     def as_not_converged(self) -> CalibrationCurve:
-        """The same curve without values."""
+        """Return the same curve without values."""
         return replace(
             self, status=NOT_CONVERGED, c=None, c_sigma_stat=None, c_sigma_sys=None, chi2_per_dof=None, parameters={},
             flag=None, chi2_per_dof_profiled=None, covariance=None, sky_over_model=None, repeated=None,
@@ -495,7 +495,7 @@ class FitReport:
         return max((curve.status for curve in self.curves), key=STATUSES.index)
 
     def as_dict(self) -> dict[str, Any]:
-        """The content of fit.json."""
+        """Describe the content of fit.json."""
         return {
             "status": self.status,
             "curves": [{**curve.as_dict(), "reference": chain} for curve, chain in self._with_reference()],

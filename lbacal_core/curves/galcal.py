@@ -64,7 +64,7 @@ ROUNDING = 1e-3
 
 
 def find_problems(content: Mapping[str, Any]) -> list[str]:
-    """What contradicts the format in curves and what belongs to them, a sentence each; empty where all agrees.
+    """List the contradictions of curves and head with the format, a sentence each; empty where all agrees.
 
     Parameters
     ----------

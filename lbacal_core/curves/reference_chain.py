@@ -49,7 +49,7 @@ class CableTable:
 
     @classmethod
     def of(cls, instrument: Instrument) -> Self:
-        """The cables of an instrument."""
+        """Make the table of an instrument."""
         return cls(instrument.cables, instrument.antennas)
 
     @cached_property
@@ -65,7 +65,7 @@ class CableTable:
         return next((record.cable for record in records if record.covers(time_unix)), None)
 
     def as_dict(self) -> dict[str, Any]:
-        """The table as JSON values."""
+        """Describe the table as JSON values."""
         return {
             "cables": {name: loss.tolist() for name, loss in self.cables.items()},
             "antennas": [[r.station, r.antenna, r.cable, r.since, r.until] for r in self.antennas],
@@ -105,7 +105,7 @@ class GainSpread:
         return np.asarray(self.offset**2 + self.spread**2)
 
     def as_dict(self) -> dict[str, Any]:
-        """The spread as JSON values."""
+        """Describe the spread as JSON values."""
         return {"paths": self.paths, "offset": self.offset.tolist(), "spread": self.spread.tolist()}
 
 
@@ -142,7 +142,7 @@ class GainSpreads:
         return np.asarray(variance + 2.0 / self.stations * self.between_stations**2)
 
     def as_dict(self) -> dict[str, Any]:
-        """The spreads as JSON values."""
+        """Describe the spreads as JSON values."""
         between = self.between_stations
         return {
             "by_cable": {name: spread.as_dict() for name, spread in self.by_cable.items()},
@@ -174,7 +174,7 @@ def _parse_spread(content: Mapping[str, Any]) -> GainSpread:
 
 @dataclass(frozen=True)
 class ReferenceChain:
-    """What one curve belongs to.
+    """The reference chain of a curve: the mean of many paths.
 
     Attributes
     ----------

@@ -21,7 +21,7 @@ Instant = int
 
 @dataclass(frozen=True)
 class Scope:
-    """What a version calibrates: the array, a station, or one path (station, antenna, dipole)."""
+    """The scope of a version: the array, a station, or one path (station, antenna, dipole)."""
 
     station: str | None = None
     antenna: int | None = None
@@ -63,7 +63,7 @@ class Scope:
 
 
 def parse_scope(key: str) -> Scope:
-    """The scope of a `Scope.key`."""
+    """Parse a `Scope.key`."""
     station, antenna, dipole = [*key.split("/"), None, None][:3]
     return Scope(None if station == Scope().key else station, None if antenna is None else int(antenna), dipole)
 

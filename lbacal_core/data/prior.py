@@ -42,6 +42,6 @@ class Departure:
 
 @cache
 def read_prior() -> dict[str, Departure]:
-    """The table by name (`lbacal_core/data/prior.toml`)."""
+    """Read the table by name (`lbacal_core/data/prior.toml`)."""
     rows = tomllib.loads((SHIPPED / "prior.toml").read_text(encoding="utf-8"))
     return {name: Departure(tuple(np.atleast_1d(row.pop("size")).tolist()), **row) for name, row in rows.items()}

@@ -1,4 +1,4 @@
-"""What one event tells of a path's calibration, held against a fixed one: its level and two modes along frequency.
+"""A path's calibration by one event, relative to a fixed one: its level and two modes along frequency.
 
 With the calibration of a reference window held fixed, the chain predicts the power of every event. What the recorded
 power differs by is put down to a gain g in front of N_RCU (eq. full_chain of Mulrey et al. 2019, A -> g A),

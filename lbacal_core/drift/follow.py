@@ -205,7 +205,7 @@ class History:
 
 @dataclass(frozen=True)
 class Followed:
-    """What was found.
+    """The drift of paths, stations and the array, with its steps, slopes and seasons.
 
     Attributes
     ----------

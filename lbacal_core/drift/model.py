@@ -255,13 +255,13 @@ _FREE = 1e4
 
 @dataclass(frozen=True)
 class Lasting:
-    """The process beside the events' noise: its variance in units of the event noise, and its length in months."""
+    """Correlated noise of months: its variance in units of the event noise, and its correlation length in months."""
 
     variance: float
     length_months: float
 
     def covariance(self, months: NDArray[np.datetime64]) -> Floats:
-        """Shape (month, month)."""
+        """Covariance between months, shape (month, month)."""
         number = months.astype(np.int64)
         distance = np.abs(number[:, None] - number)
         return np.asarray(self.variance * np.exp(-distance / self.length_months))

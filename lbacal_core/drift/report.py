@@ -38,7 +38,7 @@ class Member:
 
 @dataclass(frozen=True)
 class Change:
-    """What changed in a station at a date.
+    """A change in a station at a date.
 
     Attributes
     ----------

@@ -50,7 +50,7 @@ MOST_LEAKAGE = 0.9
 
 @dataclass(frozen=True)
 class Found:
-    """What the series have. Sizes are changes of ln C (of its modes), a slope is one a year.
+    """Steps and slopes of series. Sizes are changes of ln C (of its modes), a slope is one a year.
 
     Attributes
     ----------
@@ -105,7 +105,7 @@ def search_series(series: Series, known_unix: Floats | None = None, false_alarms
     ----------
     known_unix
         Dates at which the hardware of a series changed, shape (series, change), infinite where there is none: steps
-        whose size is free and that are no news.
+        whose size is free and that are not reported.
     """
     search = _Search(series, known_unix, false_alarms)
     search.fit()  # before it, the season counts as noise of events
@@ -230,7 +230,7 @@ class _Search(SeriesModel):
         return self._renew(of_rows & ~np.isin(self.all, back))
 
     def report(self) -> Found:
-        """What was found; slopes of all series from a last fit in which each has one."""
+        """Report steps and slopes; slopes of all series from a last fit in which each has one."""
         steps, _ = self.own_chi2()
         at = slice(STEPS, None)
         size = np.einsum("ksj,ks->sjk", self.result.theta[:, :, at], self.scale)

@@ -65,7 +65,7 @@ class Site:
                 raise BadInputError(f"{place}: {field}", f"{low:g} to {high:g}", f"{value:g}{hint}")
 
     def as_dict(self) -> dict[str, float]:
-        """The fields of an instrument file."""
+        """Describe the site by the fields of an instrument file."""
         return asdict(self)
 
 
@@ -204,7 +204,7 @@ class GainProvenance:
     antenna_sha256: str | None = None
 
     def __str__(self) -> str:
-        """What a user is told."""
+        """Describe it for a user."""
         known = [
             "unknown" if error is None else f"{100 * error:.0f} % ({name})"
             for name, error in (

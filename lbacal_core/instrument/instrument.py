@@ -339,7 +339,7 @@ class Instrument:
 
     @property
     def antenna_gain_note(self) -> str:
-        """What is known of the antenna gain, in words."""
+        """The origin of the antenna gain, in words."""
         return (
             "unchecked: the instrument does not say what its antenna_gain is"
             if self.gain_provenance is None

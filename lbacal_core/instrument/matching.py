@@ -66,7 +66,7 @@ def interpolate_impedance(nu: Floats, impedance: Impedance, frequency_mhz: Float
 
 
 def read_impedance(path: Path, frequency_mhz: Floats) -> Impedance:
-    """What S11 of a Touchstone file of one port or two is the reflection of, on the channels."""
+    """Read the impedance of a Touchstone file of one port or two, from S11, on the channels."""
     nu, s, reference = read_touchstone(path)
     s11 = s[:, 0, 0]
     if np.any(np.abs(s11) >= 1.0):

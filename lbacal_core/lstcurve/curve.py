@@ -264,7 +264,7 @@ class DipoleComparison:
         return float(np.sqrt(np.nanmean(self.residual_db**2)))
 
     def as_dict(self) -> dict[str, Any]:
-        """The comparison as JSON values."""
+        """Describe the comparison as JSON values."""
         return {
             "dipole": self.dipole,
             "weights": self.weights,
@@ -290,12 +290,12 @@ class Comparison:
     provenance: Provenance
 
     def of(self, dipole: str, *, has_noise: bool, weights: str = AS_RECORDED) -> DipoleComparison:
-        """The comparison of one dipole."""
+        """Find the comparison of one dipole."""
         wanted = (dipole, has_noise, weights)
         return next(one for one in self.dipoles if (one.dipole, one.has_noise, one.weights) == wanted)
 
     def as_dict(self) -> dict[str, Any]:
-        """The content of the report."""
+        """Describe the content of the report."""
         return {
             "points": sum(int(self.curve.has_point(dipole).sum()) for dipole in DIPOLES),
             "band_mhz": list(self.band_mhz),
@@ -470,7 +470,7 @@ class NoisePrior:
 
 
 def noise_prior(instrument: Instrument, band_mhz: tuple[float, float], weights: Floats) -> NoisePrior:
-    """What is published of the noise of an instrument; nothing, for any but the Superterp.
+    """The published noise of an instrument as a prior; None for any but the Superterp.
 
     The published noise was fitted against a sky power whose integral has a cosine of the zenith angle too many
     (docs/explanation/what-the-simulation-gets-wrong.md). Against our integral, which is larger, the ratio is smaller by

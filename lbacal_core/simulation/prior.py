@@ -65,7 +65,7 @@ class OtherAntenna:
 def exchange_antennas(
     instrument: Instrument, power: Mapping[str, Floats], lst_hours: Floats, antennas: Mapping[str, str | AntennaModel]
 ) -> Iterator[OtherAntenna]:
-    """What antennas make of P_sky, by dipole, shape (lst, freq); those that change nothing are left out."""
+    """P_sky with each other antenna, by dipole, shape (lst, freq); antennas that change nothing are left out."""
     own = load_antenna(antenna_of(instrument)).name
     for name, antenna in antennas.items():
         try:
@@ -103,14 +103,14 @@ OTHER_ANTENNAS = ("hamaker", "short-dipole", "quarter-wave")
 
 @dataclass(frozen=True)
 class Mistake:
-    """What P_sky would be without a mistake.
+    """P_sky without a mistake of the record.
 
     Attributes
     ----------
     name
         What is wrong, in words.
     change
-        By dipole, ln of P_sky without the mistake over P_sky, shape (lst, freq), on the grid of the freedom of the sky.
+        By dipole, ln of P_sky without the mistake over P_sky, shape (lst, freq), on the grid of the sky's prior.
     antenna
         The antenna that it is, where the antenna is wrong. The fit absorbs its level in A(nu), which is free, so that
         only its form along LST shows, and the level is what makes C wrong.
@@ -121,7 +121,7 @@ class Mistake:
     antenna: str | None = None
 
     def shown(self, dipole: str) -> Floats:
-        """What data can show of the change, shape (lst, freq)."""
+        """The part of the change that data can show, shape (lst, freq)."""
         change = self.change[dipole]
         return change if self.antenna is None else change - change.mean(axis=0)
 

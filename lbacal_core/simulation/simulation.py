@@ -117,7 +117,7 @@ class Simulation:
 
     @cached_property
     def differences(self) -> ModelDifferences | None:
-        """What other models of sky and antenna make of P_sky; None where it is taken at its word."""
+        """Changes of P_sky by other models of sky and antenna; None where the sky power is taken as exact."""
         return compute_model_differences(self.instrument, self.models) if self.is_own_sky else None
 
     @cached_property
@@ -134,12 +134,12 @@ class Simulation:
 
     @property
     def own_causes(self) -> dict[str, list[str]]:
-        """What is looked for beside the catalogue, each in words; nothing where there is none."""
+        """The causes of this installation beside the catalogue, each in words; empty where there is none."""
         own = [f"{one.identifier}: {one.meaning}" for one in self.catalogue if one not in CAUSES]
         return {"own_causes": own} if own else {}
 
     def changes(self, sky_budget: str = DEFAULT_SKY_BUDGET) -> Sequence[SkyTerm]:
-        """What sky, pattern and ground may be wrong by, for the error of C (`simulation.prior.list_changes`)."""
+        """Changes of sky, pattern and ground by one standard deviation (`simulation.prior.list_changes`)."""
         found: Sequence[SkyTerm]
         found = self.made.get(("changes", sky_budget), lambda: list_changes(self.instrument, sky_budget))
         return found
@@ -190,7 +190,7 @@ class Simulation:
         return self.sky_power.of_station(station).at(dipole, self.sidereal_time(station, time_unix))
 
     def split_power(self, curves: Sequence[CalibrationCurve], sky: Floats) -> tuple[Floats, Floats]:
-        """What fitted curves record: (P_sky + N) s, shape (curve, event, freq), and B, shape (curve, 1, freq).
+        """Split the power of fitted curves: (P_sky + N) s, shape (curve, event, freq), and B, shape (curve, 1, freq).
 
         Parameters
         ----------
@@ -206,19 +206,19 @@ class Simulation:
         return (sky + before[:, None]) * slope[:, None], behind[:, None]
 
     def power(self, curve: CalibrationCurve, sky: Floats) -> Floats:
-        """What a fitted path records of a P_sky of shape (event, freq); the same shape, NaN in channels without C."""
+        """Power of a fitted path for a P_sky of shape (event, freq); the same shape, NaN in channels without C."""
         signal, behind = self.split_power([curve], sky)
         return np.where(curve.has_value, (signal + behind)[0], np.nan)
 
     def background(self, curve: CalibrationCurve, lst_hours: Floats) -> Floats:
-        """What a fitted path records at sidereal times, sky and electronics, shape (event, freq), ADC^2/Ohm/MHz."""
+        """Power of a fitted path at sidereal times, sky and electronics, shape (event, freq), ADC^2/Ohm/MHz."""
         if curve.dipole is None:
             raise BadInputError(curve.name, "a curve of one polarisation", "one for both")
         sky = self.sky_power.of_station(curve.station)
         return self.power(curve, sky.at(curve.dipole, np.asarray(lst_hours, dtype=float)))
 
     def electronics(self, curve: CalibrationCurve) -> Floats:
-        """What a fitted path records without the sky, shape (freq,), ADC^2/Ohm/MHz."""
+        """Power of a fitted path without the sky, shape (freq,), ADC^2/Ohm/MHz."""
         return np.asarray(self.power(curve, np.zeros((1, self.instrument.frequency_mhz.size)))[0])
 
 

@@ -268,7 +268,7 @@ SOURCES = {
 
 
 def find_sources(names: Sequence[str]) -> list[PointSource]:
-    """The sources of some names."""
+    """Find the sources of some names."""
     unknown = [name for name in names if name not in SOURCES]
     if unknown:
         raise BadInputError("point source", f"one of {', '.join(sorted(SOURCES))}", repr(unknown[0]))

@@ -46,12 +46,12 @@ class SkyLevel:
         return np.asarray(self.level + self.slope * np.log(frequency_mhz / PIVOT_MHZ))
 
     def sigma(self, frequency_mhz: Floats) -> Floats:
-        """Its standard deviation, shape (freq,)."""
+        """Standard deviation of the level, shape (freq,)."""
         design = np.stack([np.ones_like(frequency_mhz), np.log(frequency_mhz / PIVOT_MHZ)])
         return np.asarray(np.sqrt(np.einsum("if,ij,jf->f", design, self.covariance, design)))
 
     def as_dict(self) -> dict[str, Any]:
-        """The content of its file."""
+        """Describe the content of its file."""
         covariance = [[round(float(value), 8) for value in row] for row in self.covariance]
         rounded = {name: round(getattr(self, name), 5) for name in ("level", "slope", "scatter")}
         return {"pivot_mhz": PIVOT_MHZ, **rounded, "covariance": covariance}

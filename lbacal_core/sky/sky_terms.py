@@ -53,7 +53,7 @@ SHARE_OF_SCATTER = 0.5
 
 @dataclass(frozen=True)
 class Anchor:
-    """What one experiment says of the absolute brightness of the sky.
+    """The absolute brightness of the sky by one experiment.
 
     Attributes
     ----------
@@ -123,7 +123,7 @@ def dipole_temperature(
 
 
 def mean_temperature(sky: SkyModel, antenna: AntennaModel, frequency_mhz: Floats, latitude_deg: float) -> Floats:
-    """Its mean over the sidereal day, shape (freq,), K."""
+    """Average the temperature that a dipole records over the sidereal day, shape (freq,), K."""
     return np.asarray(dipole_temperature(sky, antenna, frequency_mhz, latitude_deg, np.arange(24.0)).mean(axis=0))
 
 

@@ -46,7 +46,7 @@ def response_towards(
 
 
 def point_source_power(flux_jy: Floats, response: Floats) -> Floats:
-    """What an unpolarised point source adds to P_sky, W m^-2 MHz^-1: Z_0 S D / (2 R_r).
+    """Power of an unpolarised point source in units of P_sky, W m^-2 MHz^-1: Z_0 S D / (2 R_r).
 
     With S = 2 k_B nu^2 T dOmega / c^2 in eq. total_sky_power_eq.
 

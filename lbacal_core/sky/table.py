@@ -102,7 +102,7 @@ def make_even(
 
 
 def fewest_harmonics(instants: int) -> int:
-    """What the LBA needs, or what so few instants can give at most."""
+    """The number of harmonics that the LBA needs, or the most that so few instants can give."""
     return min(HARMONICS, (instants - 1) // 2)
 
 
@@ -196,7 +196,7 @@ class MadeFor:
         return replace(self, sky=f"{self.sky}{added}", hashes=hashes)
 
     def note(self, instrument: Instrument) -> str:
-        """What is known, in words."""
+        """The origin of a sky power, in words."""
         words = [f"{name} {value}" for name, value in (("sky", self.sky), ("antenna", self.antenna)) if value]
         if not words:
             return "unchecked: it does not say which sky and antenna it was made with"
@@ -228,7 +228,7 @@ def shipped_antenna_digest(name: str | None) -> str | None:
 
 
 def describe_view(instrument: Instrument, sky: str, sky_digest: str, antenna: str, antenna_digest: str) -> MadeFor:
-    """What this package's own sky power is made for."""
+    """Describe instrument, sky and antenna of this package's own sky power."""
     return MadeFor(
         instrument.name,
         sky,
@@ -394,7 +394,7 @@ class SkyPower:
             one.require_made_for(instrument.at_station(station))
 
     def note_for(self, instrument: Instrument) -> str:
-        """What is known of this sky power beside an instrument, in words."""
+        """The agreement of this sky power with an instrument, in words."""
         made = (
             "unchecked: it does not say what it was made for"
             if self.made_for is None

@@ -180,7 +180,7 @@ def _compare_with_usual(block: SpectraBlock, longitude_deg: float) -> tuple[Floa
 
 
 def leave_out(block: SpectraBlock, is_left_out: NDArray[np.bool_]) -> SpectraBlock:
-    """The block with some spectra absent."""
+    """Leave some spectra out of the block."""
     if not np.any(is_left_out):
         return block
     return replace(
@@ -239,7 +239,7 @@ def _noise_of_few_blocks(block: SpectraBlock) -> Floats:
 def predict_daily_variation(
     level: Floats, time_unix: Floats, is_present: NDArray[np.bool_], longitude_deg: float
 ) -> Floats:
-    """What a Fourier series in LST describes of levels, fitted without outliers.
+    """Fit a Fourier series in LST to levels, without outliers, and evaluate it.
 
     Least squares with Tukey's biweight at 4.685 robust sigma, starting from the median.
 

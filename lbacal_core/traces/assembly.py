@@ -29,7 +29,7 @@ COVARIATES = ("temperature_c", "rain_mm_h")
 
 @dataclass(frozen=True)
 class EventFacts:
-    """What is known of events besides their traces: when the cosmic ray came, and the weather.
+    """Facts of events besides their traces: the time of the cosmic ray, and the weather.
 
     Attributes
     ----------

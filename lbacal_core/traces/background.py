@@ -67,7 +67,7 @@ MEGAHERTZ_GRID.setflags(write=False)
 
 @dataclass(frozen=True)
 class CleaningSettings:
-    """What a user may choose; everything else is a named constant with its reason.
+    """The settings of a user; everything else is a named constant with its reason.
 
     Attributes
     ----------

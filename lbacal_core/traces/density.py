@@ -369,7 +369,7 @@ FEWEST_SEGMENTS = 12
 
 @dataclass(frozen=True)
 class BlockStatistics:
-    """What the choice of blocks needs to know of each.
+    """Statistics of each block, by which blocks are chosen.
 
     Attributes
     ----------

@@ -100,7 +100,7 @@ class Composed(Fault):
     courses: tuple[Drawn, ...]
 
     def alter(self, stages: Stages, scene: Scene) -> Stages:
-        """The stage with the change."""
+        """Change the stage."""
         name, numbers = self.law
         shape = LAWS[name][0](scene.frequency_mhz, *numbers)
         shape = shape / np.abs(shape).max()

@@ -63,7 +63,7 @@ class Fault:
         return power
 
     def as_dict(self) -> dict[str, Any]:
-        """What is planted, for the sealed truth."""
+        """The fault as JSON values, for the sealed truth."""
         return {"fault": type(self).__name__, **asdict(self)}
 
 

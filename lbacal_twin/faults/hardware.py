@@ -51,7 +51,7 @@ class ResonanceFault(Fault):
     """Act through a circuit of dipole and amplifier; otherwise slide the antenna's own curve along frequency."""
 
     def alter(self, stages: Stages, scene: Scene) -> Stages:
-        """The antenna with the fault."""
+        """Change the antenna by the fault."""
         frequency = scene.frequency_mhz
         curve = np.broadcast_to(stages.antenna.mean(axis=(0, 2)), (len(scene.dipoles), frequency.size))
         peak = float(frequency[np.argmax(curve.mean(axis=0))])
@@ -75,7 +75,7 @@ class ResonanceShift(ResonanceFault):
     """The resonance moves by `size` MHz."""
 
     def change(self, strength: Floats) -> tuple[Floats, Floats]:
-        """A shift alone."""
+        """Shift the resonance alone."""
         return self.size * strength, np.zeros_like(strength)
 
 
@@ -84,7 +84,7 @@ class ResonanceWidth(ResonanceFault):
     """The resonance widens by the fraction `size`."""
 
     def change(self, strength: Floats) -> tuple[Floats, Floats]:
-        """A widening alone."""
+        """Widen the resonance alone."""
         return np.zeros_like(strength), self.size * strength
 
 
@@ -93,7 +93,7 @@ class LnaNoiseSlope(Fault):
     """N_LNA rises along frequency by `size` (fraction) per 25 MHz about 55 MHz."""
 
     def alter(self, stages: Stages, scene: Scene) -> Stages:
-        """Sloping amplifier noise."""
+        """Give the amplifier's noise a slope."""
         factor = 1.0 + self.where.mask(scene) * self.size * (scene.frequency_mhz - 55.0) / 25.0
         return replace(stages, lna_noise=stages.lna_noise * factor)
 
@@ -135,7 +135,7 @@ class GainDrift(Fault):
     """The gain in front of N_RCU changes by `size` (fraction) a year, through 1 in the middle of the campaign."""
 
     def alter(self, stages: Stages, scene: Scene) -> Stages:
-        """Ageing gain."""
+        """Let the gain drift."""
         middle = 0.5 * (scene.time_unix.min() + scene.time_unix.max())
         years = (scene.time_unix[:, None] - middle) / YEAR_S
         return replace(stages, gain=stages.gain * (1.0 + self.where.mask(scene) * self.size * years))
@@ -168,7 +168,7 @@ class CableReflection(Fault):
     phase_rad: float = 0.0
 
     def alter(self, stages: Stages, scene: Scene) -> Stages:
-        """A rippled cable."""
+        """Add a ripple to the loss of the cable."""
         frequency = scene.frequency_mhz[:, None]
         width = np.gradient(scene.frequency_mhz)[:, None]
         fine = (np.arange(64) + 0.5) / 64 * width - width / 2
@@ -181,7 +181,7 @@ class CableTemperature(Fault):
     """The cable's loss in dB follows the air temperature, `size` (fraction) per 10 K."""
 
     def alter(self, stages: Stages, scene: Scene) -> Stages:
-        """The loss of a warm day."""
+        """Raise the loss in dB on warm days."""
         exponent = self.where.mask(scene) * self.size * scene.warmth
         return replace(stages, cable=stages.cable * np.exp(exponent * np.log(stages.cable)))
 

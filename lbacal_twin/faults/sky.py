@@ -28,7 +28,7 @@ class SkyFault(Fault):
         return replace(stages, sky=stages.sky + mask * (changed - stages.sky))
 
     def seen(self, sky: Floats, scene: Scene) -> Floats:
-        """What a path with the fault receives instead of `sky`, shape (antenna, dipole, event, freq)."""
+        """Sky power of a path with the fault, instead of `sky`, shape (antenna, dipole, event, freq)."""
         raise NotImplementedError
 
 
@@ -47,7 +47,7 @@ class DipoleAzimuth(SkyFault):
     """Both arms stand `size` degrees east of their record."""
 
     def seen(self, sky: Floats, scene: Scene) -> Floats:
-        """The sky through turned dipoles."""
+        """Compute the sky through turned dipoles."""
         return sky * scene.view.ratio(lambda _, pattern: pattern, scene.lst_hours, turned_deg=self.size)
 
 
@@ -100,7 +100,7 @@ class IsotropicLevel(SkyFault):
     """Further emission from everywhere: `size` of the mean sky power at each frequency."""
 
     def seen(self, sky: Floats, scene: Scene) -> Floats:
-        """The sky over a constant."""
+        """Add a constant to the sky."""
         return np.asarray(sky + self.size * scene.mean_sky.mean(axis=1, keepdims=True))
 
 
@@ -128,7 +128,7 @@ class SolarEmission(SkyFault):
     index: float = 1.5
 
     def seen(self, sky: Floats, scene: Scene) -> Floats:
-        """The sky and the Sun."""
+        """Add the Sun to the sky."""
         level = np.interp(REFERENCE_MHZ, scene.frequency_mhz, scene.mean_sky.mean(axis=(0, 1, 2)))
         spectrum = level * (scene.frequency_mhz / REFERENCE_MHZ) ** self.index
         return np.asarray(sky + self.size * spectrum * _towards(scene.view, sun_position(scene.time_unix), scene))
@@ -142,7 +142,7 @@ class IonosphericAbsorption(SkyFault):
     """Exponent of the cosine of the Sun's zenith angle."""
 
     def seen(self, sky: Floats, scene: Scene) -> Floats:
-        """The sky behind the layer."""
+        """Compute the sky through the layer."""
         zenith, _ = horizontal(*sun_position(scene.time_unix), scene.lst_hours, scene.latitude_deg)
         daylight = np.clip(np.cos(zenith), 0.0, 1.0)[:, None] ** self.power * (np.cos(zenith) > 0)[:, None]
         return sky * np.exp(-self.size * daylight * (30.0 / scene.frequency_mhz) ** 2)

@@ -66,7 +66,7 @@ def repair_clock() -> None:
 
     Example: lbacal db repair-clock
 
-    Until the instant of the last of them nothing can be promoted. No line goes; every line that was moved is printed.
+    Until the instant of the last of them nothing can be promoted. Every line that was moved is printed.
     """
     from lbacal.instants import format_instant
 

@@ -14,7 +14,7 @@ PAUSE_S = 1.0
 
 
 def open_factory() -> Factory:
-    """The use cases on the database of the settings; what is wrong with the settings shows here, not in the night."""
+    """The use cases on the database of the settings; what is wrong with the settings shows here, not in a later run."""
     from service.config import read_settings
     from service.factory import Factory
     from service.logs import configure_logs

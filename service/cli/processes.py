@@ -22,7 +22,7 @@ def scheduler(
     once: Annotated[bool, typer.Option("--once", help="Look for due work now, and end.")] = False,
     check: Check = False,
 ) -> None:
-    """Find due refits: now, which makes up for nights missed, and then every night. It enqueues, workers do.
+    """Find due refits: now, which makes up for missed days, and then once a day. It enqueues, workers do.
 
     Example: lbacal scheduler
     """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path
@@ -22,10 +23,9 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 _COMMANDS = """# Commands
 Written by `./dev docs` from the commands themselves: do not edit. `lbacal COMMAND --help` says what each option means
-and what it is by default; a star marks what is required. Every command exits with 0 when it is done, 1 when the work
-failed, and 2 on bad usage or bad input, with one sentence on standard error. `fit`, `investigate`, `lst-curve`,
-`sky-power` and `spectra` need the extra `fit`, `paper` that of its name; `serve`, `scheduler`, `worker`, `db` and
-`keys` need `server` ([how to install](how-to/install.md)).
+and what it is by default, and which are required. Every command exits with 0 when it is done, 1 when the work
+failed, and 2 on bad usage or bad input, with one sentence on standard error. [How to install](how-to/install.md) says
+which need an extra.
 """
 _SETTINGS = """# Settings
 Written by `./dev docs` from `service/config.py` and `lbacal/settings.py`: do not edit. Each setting is an environment
@@ -34,19 +34,20 @@ variable; one that begins with `LBACAL_` and is not in this list is refused by e
 """
 _CAUSES = """# Causes
 Written by `./dev docs` from `lbacal_core/causes/`: do not edit. What `lbacal investigate` looks for: mechanisms that
-may make a simulation wrong, with the unit of their size, the templates that a search tries, and how other means could
-confirm them. [How it searches](explanation/what-the-simulation-gets-wrong.md), [how to add one](how-to/add-a-cause.md).
+may make a simulation wrong, with the unit of their size, the targets that they affect, the axes along which they vary,
+and how other means could confirm them. [How it searches](explanation/what-the-simulation-gets-wrong.md), [how to add
+one](how-to/add-a-cause.md).
 """
 
 
 def describe_commands() -> str:
-    """The content of docs/commands.md."""
+    """Write the content of docs/commands.md."""
     add_commands()
     return _COMMANDS + "".join(_describe(["lbacal"], typer.main.get_command(app)))
 
 
 def describe_settings() -> str:
-    """The content of docs/settings.md."""
+    """Write the content of docs/settings.md."""
     rows = {}
     for name, field in Settings.model_fields.items():
         default = "required" if field.default is PydanticUndefined else field.default
@@ -56,9 +57,14 @@ def describe_settings() -> str:
 
 
 def describe_causes() -> str:
-    """The content of docs/causes.md."""
+    """Write the content of docs/causes.md."""
     causes: list[Cause | AntennaCause] = sorted((*CAUSES, *ANTENNA_CAUSES), key=lambda one: one.identifier)
-    return _CAUSES + "".join(_describe_cause(cause) for cause in causes)
+    needs: dict[str, list[str]] = {}
+    for cause in causes:
+        needs.setdefault(cause.needs, []).append(f"`{cause.identifier}`")
+    hidden = "".join(f"- {', '.join(names)}: {need}.\n" for need, names in needs.items() if need)
+    texts = "".join(_describe_cause(cause) for cause in causes)
+    return f"{_CAUSES}{texts}\n## Where a cause cannot be shown\n{hidden}"
 
 
 def _describe_cause(cause: Cause | AntennaCause) -> str:
@@ -67,14 +73,18 @@ def _describe_cause(cause: Cause | AntennaCause) -> str:
     says = f"{cause.meaning[0].upper()}{cause.meaning[1:]}" if is_one_of_several else _first_line(kind).rstrip(".")
     does = f" {_first_line(cause.act)}" if isinstance(cause, Cause) else ""
     tried = "" if kind.templates is Cause.templates else _first_line(kind.templates)
-    lines = (
-        f"Templates: {tried}" if tried else "",
-        f"Targets: {', '.join(cause.scopes)}. Axes: {', '.join(cause.axes)}.",
+    is_one = tried.startswith("One")  # says no more than what it needs, which stands at the end of the page
+    targets = "any" if set(cause.scopes) == ANY else ", ".join(cause.scopes)
+    found = (
+        f"Targets: {targets}. Axes: {', '.join(cause.axes)}.",
+        f"Templates: {tried}" if tried and not is_one else "",
         f"To confirm: {cause.confirm}.",
-        f"Not shown where: {cause.needs}." if cause.needs else "",
     )
-    text = "".join(f"- {line}\n" for line in lines if line)
-    return f"\n## {cause.identifier}\n{says} ({cause.unit}).{does}\n{text}"
+    return f"\n## {cause.identifier}\n{says} ({cause.unit}).{does}\n- {' '.join(filter(None, found))}\n"
+
+
+ANY = {"path", "antenna", "group", "cable", "station"}
+"""Every target that a cause can have."""
 
 
 def _first_line(thing: Any) -> str:
@@ -82,15 +92,24 @@ def _first_line(thing: Any) -> str:
 
 
 def _describe(path: list[str], command: Any) -> Iterator[str]:
-    """One section a command, those of a group after its own."""
+    """One section a command, those of a group after its own; a group that does nothing by itself has none."""
+    if len(path) > 1 and not getattr(command, "invoke_without_command", True):
+        for name, one in command.commands.items():
+            yield from _describe([*path, name], one)
+        return
     arguments = [f"{p.name.upper()}{'...' if p.nargs < 0 else ''}" for p in command.params if _is_argument(p)]
     yield f"\n## `{' '.join([*path, *arguments])}`\n"
     for paragraph in inspect.cleandoc(command.help or "").split("\n\n"):
         text = " ".join(paragraph.split())
         example = text.removeprefix("Example: ")
-        yield f"{text}\n\n" if example == text else f"`{example}`\n\n"
-    options = ", ".join(_name_option(one) for one in command.params if not _is_argument(one) and one.name not in OF_ALL)
-    yield f"Options: {options}\n" if options else ""
+        if example == text:
+            yield f"{text}\n\n"
+        elif " -" in example:  # without an option it says no more than the heading
+            yield f"`{example}`\n\n"
+    shown = set(re.findall(r"--[a-z-]+", command.help or ""))
+    others = [one for one in command.params if not _is_argument(one) and one.name not in OF_ALL]
+    options = ", ".join(_name_option(one) for one in others if not shown & set(one.opts))
+    yield f"Other options: {options}\n" if options else ""
     for name, one in getattr(command, "commands", {}).items():
         yield from _describe([*path, name], one)
 
@@ -104,11 +123,11 @@ def _is_argument(parameter: Any) -> bool:
 
 
 def _name_option(parameter: Any) -> str:
-    """The option, its choices where it has some, and a star where it is required."""
+    """The option, and its choices where it has some."""
     kind = parameter.type_descriptor.annotation
     is_choice = isinstance(kind, type) and issubclass(kind, StrEnum)
     choices = f" {'|'.join(kind)}" if is_choice else ""
-    return f"`{' / '.join(parameter.opts + parameter.secondary_opts)}{choices}`{'*' if parameter.required else ''}"
+    return f"`{' / '.join(parameter.opts + parameter.secondary_opts)}{choices}`"
 
 
 def main() -> None:

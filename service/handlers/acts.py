@@ -30,7 +30,7 @@ ENDS = ("since", "until")
 
 @dataclass(frozen=True)
 class Foreseen:
-    """What an act would do: sentences, what changes in C, and the deed itself, which says where to go afterwards."""
+    """A forecast of an act: sentences, changes of C, and the function that does it and returns the next address."""
 
     sentences: Sequence[str]
     do: Callable[[], str]

@@ -45,7 +45,7 @@ def get_in_effect(
     gap: Literal["error", "hold"] = "error",
     format: Format | None = None,  # noqa: A002 - its name on the wire
 ) -> Response:
-    """The calibration in effect on a date.
+    """Find the calibration in effect on a date.
 
     `at` (or `mjd`) is when the data were taken, `as_of` when the question is asked: pin it to get the same answer
     for ever, or ask by a `tag`, which does that under a name. A path is answered by its own version, else its
@@ -70,7 +70,7 @@ def get_in_effect(
 
 @reads(router, "/v1/budgets/{digest}", wire.BudgetAnswer, 404)
 def get_budget(request: Request, use: UseCases, digest: InPath) -> Response:
-    """One budget.
+    """Get one budget.
 
     The systematic terms that curves share: name, source and, by polarisation, vectors of d ln C along frequency,
     one standard deviation each, independent of each other. A term of the same name is the same for all.
@@ -80,7 +80,7 @@ def get_budget(request: Request, use: UseCases, digest: InPath) -> Response:
 
 @reads(router, "/v1/calibrations/edges", wire.EdgesAnswer, takes_turn=True)
 def list_edges(request: Request, use: UseCases, as_of: str) -> Response:
-    """Where answers change.
+    """List the instants at which answers change.
 
     The instants at which what `effective` answers about a station may change, as known at `as_of`: between two of
     them it is the same. `station` null is the array's reference chain. `lbacal sync` asks at each.
@@ -126,7 +126,7 @@ def get_version(
     version_id: InPath,
     format: Format | None = None,  # noqa: A002 - its name on the wire
 ) -> Response:
-    """One version.
+    """Get one version.
 
     Its inputs, curves and `payload_sha256`, the SHA-256 of `curves` as canonical JSON. The other formats have the
     columns of `effective`, the window of the fit as interval.
@@ -142,9 +142,9 @@ def get_version(
 
 @reads(router, "/v1/calibrations/{first}/diff/{second}", wire.DiffAnswer, 404)
 def get_diff(request: Request, use: UseCases, first: InPath, second: InPath) -> Response:
-    """How two versions differ.
+    """Compare two versions.
 
-    Per dipole the change of C from the first to the second that one and the same path is told, as a fraction and in
+    Per dipole the change of C from the first to the second that one and the same path is served, as a fraction and in
     standard deviations.
     """
     a, b = use.calibrations.pair(first, second)
@@ -152,7 +152,7 @@ def get_diff(request: Request, use: UseCases, first: InPath, second: InPath) -> 
 
 
 def write_json(use: Factory, found: InEffect, curves: Sequence[CurveInEffect], known: Knowledge) -> bytes:
-    """What is in effect as JSON, of whose curves most were written before."""
+    """Write the curves in effect as JSON, most of which were written before."""
     written = use.calibrations.write(curves, _write_curve)
     named = {one.budget for one in written if one.budget is not None}
     budgets = {name: found.budgets[name] for name in named if name in found.budgets}

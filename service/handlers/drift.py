@@ -36,7 +36,7 @@ def get_drift(
     antenna: AntennaQuery = None,
     dipole: str | None = None,
 ) -> Response:
-    """C over time, against the first year.
+    """Show C over time, relative to the first year.
 
     For the array, a station, or one path: the band mean of C of every version, C of every month over that of the
     path's first whole year (for many paths the median and the middle 68 %) with what offset, season and slope make
@@ -61,7 +61,7 @@ def describe_series(series: DriftSeries) -> dict[str, Any]:
 
 
 def describe_month(point: MonthPoint) -> dict[str, Any]:
-    """A month as JSON values."""
+    """Describe a month as JSON values."""
     shape = dict(zip(("tilt", "curvature"), point.shape, strict=True))
     line = dict(zip(("line", "line_low", "line_high"), point.line or (None, None, None), strict=True))
     return fill_answer(wire.DriftMonth, point, month=format_instant(point.month)[:7], **shape, **line)
@@ -111,11 +111,11 @@ def list_alarms(
     cursor: Annotated[Whole | None, Query(ge=0, le=2**63 - 1)] = None,
     limit: Limit = 100,
 ) -> Response:
-    """What is wrong.
+    """List alarms.
 
     Newest first. `state`: `open` are those that nobody acknowledged, or whose acknowledgement has run out;
-    `lasting` (the default) are these and the acknowledged ones; `ended` are over. A problem is one alarm from the
-    night on which it was found. `next` is the cursor of the next page.
+    `lasting` (the default) are these and the acknowledged ones; `ended` are over. A problem is one alarm since
+    the run that found it. `next` is the cursor of the next page.
     """
     states = CHOICES.get(state, (state,))
     found = use.alarms.newest(AlarmsAsked(states, limit, kind, station, cursor))
@@ -135,7 +135,7 @@ def acknowledge_alarm(request: Request, use: UseCases, number: JobNumber, caller
 
 
 def describe_alarm(alarm: Alarm, now: Instant) -> dict[str, Any]:
-    """An alarm as JSON values."""
+    """Describe an alarm as JSON values."""
     news, known = alarm.news, alarm.acknowledgement
     return fill_answer(
         wire.AlarmAnswer, alarm, news, alarm=alarm.number, state=alarm.state_at(now),
@@ -161,7 +161,7 @@ def list_changes(
     until: str | None = None,
     decision: Literal["proposed", "in_force", "dismissed"] | None = None,
 ) -> Response:
-    """What changed, and when.
+    """List changes with their dates.
 
     In order of station and date: what drift found beyond the threshold of an alarm, what is on record or a person
     entered is in force at once, what an investigation alone found is proposed. Windows are cut where a step is in
@@ -202,9 +202,9 @@ def decide_change(
 ) -> Response:
     """Put a change in force, or dismiss it.
 
-    Whatever its sources say; the next look for due work fits the windows again. `changes` is what its paths would be
-    told, by fits of the year. A change that has ended, or of which this is decided already, is 409. `dry_run=true`
-    answers 200 and writes nothing.
+    Whatever its sources say; the next look for due work fits the windows again. `changes` are those of the curves that
+    its paths would be served, by fits of the year. A change that has ended, or of which this is decided already, is
+    409. `dry_run=true` answers 200 and writes nothing.
     """
     wanted = parse_body(DecisionBody, body)
     foreseen, of_c = use.changes.foresee(number, wanted, caller.name)
@@ -214,7 +214,7 @@ def decide_change(
 
 
 def describe_change(kept: KeptChange) -> dict[str, Any]:
-    """A change as JSON values."""
+    """Describe a change as JSON values."""
     change, said, first = kept.change, kept.said, kept.evidence[0]
     paths = [{"station": change.station, "antenna": antenna, "dipole": dipole} for antenna, dipole in change.paths]
     of_c = None if change.size is None else {"value": change.size, "sigma": change.size_sigma or 0.0}

@@ -44,7 +44,7 @@ def get_readiness(request: Request, use: UseCases) -> Response:
 
 @reads(router, "/v1/status", wire.StatusAnswer)
 def get_status(request: Request, use: UseCases) -> Response:
-    """What an operator looks at.
+    """Show the status of the service.
 
     Readiness and its problem, processes, parts of jobs, alarms, the newest investigation of every station with what
     the one before did not say, and the failures of the last 30 days that nothing has made up for, with the time
@@ -69,7 +69,7 @@ def get_metrics(request: Request, use: UseCases) -> Response:
 
 
 def describe_status(state: State, news: list[StationNews], stopped: list[str], waiting: list[str]) -> dict[str, Any]:
-    """What an operator looks at, as JSON values."""
+    """Describe the status of the service as JSON values."""
     processes = [fill_answer(wire.ProcessAnswer, one, silent_s=one.silent_us / 1e6) for one in state.processes]
     return fill_answer(
         wire.StatusAnswer, state, ready=state.problem is None, processes=processes,

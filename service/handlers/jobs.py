@@ -61,7 +61,7 @@ def list_jobs(
 
 @reads(router, "/v1/jobs/{number}", JobAnswer, 404)
 def get_job(request: Request, use: UseCases, number: JobNumber) -> Response:
-    """One job."""
+    """Get one job."""
     return answer(request, describe_job(use.jobs.get(number)))
 
 
@@ -80,7 +80,7 @@ def cancel_job(
 
 
 def describe_job(job: Job) -> dict[str, Any]:
-    """A job as JSON values."""
+    """Describe a job as JSON values."""
     listed = {
         name: [one for result in job.results for one in result.get(name, [])]
         for name in ("calibrations", "promoted", "results")

@@ -102,18 +102,18 @@ def _execute(
 
 
 def describe_promoted(_plan: Plan, made: Sequence[Promotion], changes: Sequence[Change]) -> dict[str, Any]:
-    """What one promotion changes; with itself where it was made."""
+    """Describe the changes by one promotion; with itself where it was made."""
     return {**(describe_promotion(made[0]) if made else {}), "changes": describe_changes(changes)}
 
 
 def describe_act(plan: Plan, made: Sequence[Promotion], changes: Sequence[Change]) -> dict[str, Any]:
-    """What promotions change that are one act; with the promotions where they were made."""
+    """Describe the changes by promotions that are one act; with the promotions where they were made."""
     promotions = [describe_promotion(promotion) for promotion in made]
     return {"changes": describe_changes(changes), "promotions": promotions, "left_out": dict(plan.left_out)}
 
 
 def describe_changes(changes: Sequence[Change]) -> list[dict[str, Any]]:
-    """What promotions change, path by path."""
+    """Describe the changes by promotions, path by path."""
     return [
         {
             **describe_scope(change.path),

@@ -21,7 +21,7 @@ router = APIRouter(tags=["life"])
 
 @reads(router, "/v1/paths/{station}/{antenna}/{dipole}/life", LifeAnswer, takes_turn=True)
 def get_life_of_path(request: Request, use: UseCases, station: InPath, antenna: Whole, dipole: InPath) -> Response:
-    """The life of a path.
+    """Get the life of a path.
 
     Its epochs between the changes in force, what was in effect when, and the versions, changes, causes, alarms and
     investigations that concern it, each in order of time.
@@ -31,13 +31,13 @@ def get_life_of_path(request: Request, use: UseCases, station: InPath, antenna: 
 
 @reads(router, "/v1/stations/{station}/life", LifeAnswer, takes_turn=True)
 def get_life_of_station(request: Request, use: UseCases, station: InPath) -> Response:
-    """The life of a station, as that of a path."""
+    """Get the life of a station, as that of a path."""
     return answer(request, describe_life(use.lives.of(station), use.clock()))
 
 
 @reads(router, "/v1/life", LifeAnswer, takes_turn=True)
 def get_life_of_array(request: Request, use: UseCases) -> Response:
-    """The life of the array, as that of a path."""
+    """Get the life of the array, as that of a path."""
     return answer(request, describe_life(use.lives.of(None), use.clock()))
 
 
@@ -58,7 +58,7 @@ def get_bad_antennas(request: Request, use: UseCases, at: str | None = None, sta
 
 
 def describe_life(life: Life, now: Instant) -> dict[str, Any]:
-    """A life as JSON values."""
+    """Describe a life as JSON values."""
     return {
         "epochs": [describe_stretch(one.start, one.end, because=one.because) for one in life.epochs],
         "in_effect": [describe_stretch(one.start, one.end, calibration=one.calibration) for one in life.in_effect],

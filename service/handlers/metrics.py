@@ -13,7 +13,7 @@ _SECONDS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 5, 10, 30, 60)
 
 
 class Traffic:
-    """What came in and how long it took."""
+    """Counts of requests and their times."""
 
     def __init__(self, registry: CollectorRegistry) -> None:
         self._requests = Counter(

@@ -60,7 +60,7 @@ def list_models(
     cursor: Annotated[Whole | None, Query(ge=0, le=2**63 - 1)] = None,
     limit: Limit = 100,
 ) -> Response:
-    """What stations' models have and had.
+    """List the models of stations, present and past.
 
     Newest first: every adoption and withdrawal, with the causes that the station had from then on and what each
     gained on later events; `next` is the cursor of the next page.
@@ -85,7 +85,7 @@ def withdraw_model(request: Request, use: UseCases, order: Reasoned, name: InPat
 
 
 def describe_plan(plan: Adoption) -> dict[str, Any]:
-    """What an adoption would change, as JSON values."""
+    """Describe the changes by an adoption as JSON values."""
     told = {"model": plan.model.id, "cause": plan.cause.sentence, "promise": list(plan.change.promise or ())}
     return {**told, "changes": describe_changes(plan.changes)}
 
@@ -144,7 +144,7 @@ def list_investigations(
 
 @reads(investigations, "/v1/investigations/{name}", wire.InvestigationAnswer, 404)
 def get_investigation(request: Request, use: UseCases, name: InPath) -> Response:
-    """One investigation, as it was made."""
+    """Get one investigation, as it was made."""
     found = use.investigations.get(name)
     content = {**describe_investigation(found), "inputs": found.inputs, "report": found.report}
     return answer(request, content, cache=IMMUTABLE)

@@ -232,7 +232,7 @@ def show_drift(request: Request, use: UseCases, span: InSpan, csv: CsvQuery = ""
 
 
 def _tell_drift(use: Factory, span: Span) -> tuple[Chart, str]:
-    """The part of the page that is the same for everybody until the next night."""
+    """The part of the page that is the same for everybody until the next daily run."""
     whole, stations = use.drift.overall()
     series = [*stations, *([whole] if len(stations) > 1 else [])]
     stories = use.drift.stories(series)
@@ -362,7 +362,7 @@ def _draw_date(use: Factory, path: Scope, found: CurveInEffect) -> dict[str, Cha
 
 
 def _find_predecessor(use: Factory, found: CurveInEffect) -> CalibrationCurve | None:
-    """What the path was told before the version that answers began to."""
+    """Find the curve that the path was served before the version that answers."""
     try:
         before = use.calibrations.in_effect(found.promotion.valid_from - 1, [found.path]).curves[0]
     except NotInEffectError:

@@ -23,7 +23,7 @@ def get_prediction(
     mjd: str | None = None,
     temperature_c: float | None = None,
 ) -> Response:
-    """What a path should see.
+    """Predict the power of a path.
 
     The expected spectrum at `at` (or `mjd`) by the calibration then in effect with its covariance, what it is made of
     at the start of the chain, what the converter shows, the flux of a zenith source that doubles the power of this one

@@ -37,7 +37,7 @@ def problem(status: int, code: str, detail: str, retry_s: float = RETRY_S) -> Re
 
 
 def problem_of(error: LbacalError) -> Response:
-    """An expected failure as a problem."""
+    """Describe an expected failure as a problem."""
     retry_s = error.retry_s if isinstance(error, TooManyError) else RETRY_S
     return problem(error.status, error.code, str(error), retry_s)
 
@@ -64,7 +64,7 @@ def _show(request: Request, answered: Response, detail: str) -> Response:
 
 
 def document(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    """What a route's errors look like, for the OpenAPI document: any may have to wait."""
+    """Describe the errors of a route for the OpenAPI document: any may have to wait."""
     every = sorted({*statuses, 406, 429, 503, *([408, 413] if 415 in statuses else [])})
     return {s: {"description": STATUSES[s], "content": {"application/problem+json": {}}} for s in every}
 

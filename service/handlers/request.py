@@ -51,7 +51,7 @@ InPath = Annotated[str, Path(pattern=r"^[^\x00-\x1f\x7f]{1,200}$")]
 
 
 def get_factory(request: Request) -> Factory:
-    """The use cases of this application."""
+    """Get the use cases of this application."""
     return cast("Factory", request.app.state.factory)
 
 
@@ -68,14 +68,14 @@ UseCases = Annotated[Factory, Depends(_provide_factory)]
 
 
 def require_read(request: Request, use: UseCases, _bearer: Bearer) -> Caller:
-    """A caller who may read."""
+    """Find the caller, who must be allowed to read."""
     return require_caller(request, use, "read")
 
 
 def require_caller(
     request: Request, use: Factory, *scopes: str, authorization: str | None = None, session: str | None = None
 ) -> Caller:
-    """Who asks, if they may; an address that tries many wrong keys is told to wait.
+    """Find the caller, if they may; an address that tries many wrong keys has to wait.
 
     `authorization` is that of the request unless it is given: its header. A session is taken where a form was sent with
     it; and where reads need a key that of the browser, for reads alone.
@@ -184,7 +184,7 @@ async def read_spectra_body(request: Request, use: UseCases) -> AsyncIterator[by
 
 
 def media_type_of(request: Request) -> str:
-    """What a request says that its body is."""
+    """Find the media type of a request's body."""
     return request.headers.get("content-type", "").partition(";")[0].strip().lower()
 
 

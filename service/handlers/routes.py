@@ -105,7 +105,7 @@ def _inline(body: type[BaseModel]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Order(Generic[AnyBody]):
-    """What a caller who may wants to be done, at most once under a name of their choice."""
+    """A request of an authorised caller, done at most once under a name of their choice."""
 
     wanted: AnyBody
     caller: str
@@ -114,7 +114,7 @@ class Order(Generic[AnyBody]):
     _name: str | None
 
     def recall(self, what: str) -> bytes | None:
-        """What the same request was answered under its name; None where it is new."""
+        """Find the answer of the same request under its name; None where it is new."""
         return self._use.deeds.recall(self.caller, self._name, what.encode() + self._body)
 
     def once(self, what: str, act: Callable[[], Any]) -> bytes:

@@ -50,7 +50,7 @@ def list_receipts(
     use: UseCases,
     sha256: Annotated[str, Query(pattern=r"^[0-9a-f]{64}(,[0-9a-f]{64}){0,99}$", description="up to 100, with commas")],
 ) -> Response:
-    """Which bodies are stored already.
+    """List the bodies that are stored already.
 
     Those among the named ones, by the SHA-256 of their bytes, whose spectra are all stored: they need not be sent
     again.
@@ -94,5 +94,5 @@ def flag_event(request: Request, use: UseCases, caller: Writer, event_id: InPath
 
 
 def describe_event(event: StoredEvent) -> dict[str, Any]:
-    """An event as JSON values."""
+    """Describe an event as JSON values."""
     return fill_answer(EventAnswer, event, time_utc=format_instant(event.time))

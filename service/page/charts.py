@@ -265,7 +265,7 @@ MOST_COVARIATES = 3
 def draw_environment(
     found: Mapping[str, Sequence[tuple[Instant, Floats]]], days: tuple[float, float]
 ) -> dict[str, Chart]:
-    """What was recorded beside the events, month by month: the mean, and the middle 68 %; the first few by name."""
+    """Draw weather and other covariates month by month: the mean, and the middle 68 %; the first few by name."""
     charts = {}
     for name, months in list(found.items())[:MOST_COVARIATES]:
         at = [month / US + HALF_A_MONTH for month, _ in months]

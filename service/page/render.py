@@ -41,7 +41,7 @@ class Asset:
 
     @property
     def url(self) -> str:
-        """Its address, which changes with its content."""
+        """The address of the file, which changes with its content."""
         return f"/static/{hashlib.sha256(self.content).hexdigest()[:16]}/{self.name}"
 
 
@@ -55,7 +55,7 @@ def load_assets() -> dict[str, Asset]:
 
 
 def find_asset(digest: str, name: str) -> Asset:
-    """A file by its address."""
+    """Find a file by its address."""
     asset = load_assets().get(name)
     if asset is None or asset.url != f"/static/{digest}/{name}":
         raise NotFoundError(f"no file /static/{digest}/{name}")
@@ -97,7 +97,7 @@ _DEFAULTS = {"span": EVERYTHING, "q": "", "leave": None, "address_here": "/"}
 
 
 def render_page(name: str, **content: Any) -> bytes:
-    """A page as HTML."""
+    """Render a page as HTML."""
     return render_part(name, **content).encode()
 
 
@@ -127,12 +127,12 @@ def format_day(instant: Instant | None) -> str:
 
 
 def format_moment(instant: Instant) -> str:
-    """An instant to the second."""
+    """Write an instant to the second."""
     return datetime.fromtimestamp(instant // 1_000_000, UTC).strftime("%Y-%m-%d %H:%M:%S")
 
 
 def format_percent(fraction: float | None, digits: int = 1) -> str:
-    """A signed change in percent."""
+    """Write a signed change in percent."""
     return "" if fraction is None else write_percent(fraction, digits)
 
 
@@ -142,5 +142,5 @@ def format_days(days: float) -> str:
 
 
 def name_scope(scope: Scope) -> str:
-    """A scope in words."""
+    """Name a scope in words."""
     return name_path(*scope.parts)

@@ -29,17 +29,17 @@ class Span:
 
     @property
     def days(self) -> dict[str, str]:
-        """Its ends as dates, as the form of a page shows them; empty where open."""
+        """The ends of the range as dates, as the form of a page shows them; empty where open."""
         ends = {"since": self.since, "until": self.until}
         return {name: "" if at is None else format_instant(at)[:10] for name, at in ends.items()}
 
     @property
     def query(self) -> str:
-        """What an address gets so that the next page obeys it; nothing where both ends are open."""
+        """The query by which the next page has the same range of time; empty where both ends are open."""
         return self.with_more()
 
     def with_more(self, **more: str) -> str:
-        """The same with further parameters."""
+        """Add further parameters."""
         given = {name: value for name, value in {**self.days, **more}.items() if value}
         return f"?{urlencode(given)}" if given else ""
 

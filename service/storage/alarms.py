@@ -32,7 +32,7 @@ STATES = (OPEN, ACKNOWLEDGED, ENDED)
 
 @dataclass(frozen=True)
 class News:
-    """What is wrong, as somebody found it this time.
+    """A problem in its state at the latest look.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class News:
     content
         The numbers, as JSON values.
     since, since_error_us
-        When it began and the standard deviation of that; another night may date it a little differently.
+        When it began and the standard deviation of that; another run may date it a little differently.
     """
 
     kind: str
@@ -65,7 +65,7 @@ class News:
 
 @dataclass(frozen=True)
 class Acknowledgement:
-    """Who knows of an alarm, why it is no news, and until when; None is for good."""
+    """A person's acknowledgement of an alarm, with the reason, and until when; None is for good."""
 
     by: str
     at: Instant
@@ -75,7 +75,7 @@ class Acknowledgement:
 
 @dataclass(frozen=True)
 class Alarm:
-    """A problem from the night on which it was raised; `ended` None while it lasts."""
+    """A problem since the run that raised it; `ended` None while it lasts."""
 
     number: int
     news: News
@@ -138,7 +138,7 @@ class AlarmStore(Store):
         return self.get(number)
 
     def get(self, number: int) -> Alarm:
-        """One alarm."""
+        """Get one alarm."""
         row = self._connection.execute(select(alarm).where(alarm.c.id == number)).one_or_none()
         if row is None:
             raise NotFoundError(f"no alarm {number}; GET /v1/alarms lists them")

@@ -42,7 +42,7 @@ def is_same_date(one: tuple[Instant, Instant], other: tuple[Instant, Instant]) -
 
 @dataclass(frozen=True)
 class Change:
-    """What changed, when and by how much.
+    """A change: its date, target and size.
 
     Attributes
     ----------
@@ -119,14 +119,14 @@ class Cut:
 
     @property
     def warning(self) -> str:
-        """What to know of C while one version answers on both sides."""
+        """A warning about C while one version answers on both sides of a cut."""
         who, day = name_path(self.station, self.antenna), format_instant(self.date)[:10]
         return f"{who} changed on {day} ({NOT_REFITTED}): C in effect is the mean over the change"
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """Who says that there is a change: a source, what it refers to, and when it said so first and no longer."""
+    """A source of a change: its kind, the report that it refers to, and the first and last time at which it held."""
 
     source: str
     ref: str
@@ -137,7 +137,7 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Decision:
-    """What a person decided about a change: in force, or dismissed."""
+    """A person's decision on a change: in force, or dismissed."""
 
     decision: str
     at: Instant
@@ -241,7 +241,7 @@ class ChangeStore(Store):
         return self._read(statement, as_of)
 
     def get(self, number: int) -> KeptChange:
-        """One of them."""
+        """Get one change."""
         found = self._read(select(change).where(change.c.id == number))
         if not found:
             raise NotFoundError(f"no change {number}; GET /v1/changes lists them")
@@ -289,7 +289,7 @@ class ChangeStore(Store):
         return self.get((*(one.number for one in same), *numbers)[0])
 
     def end(self, number: int, source: str, now: Instant) -> None:
-        """A source no longer says so."""
+        """Note that a source no longer holds."""
         own = change_evidence.c.change == number, change_evidence.c.source == source
         lasts = change_evidence.c.ended_us.is_(None)
         self._connection.execute(update(change_evidence).where(*own, lasts).values(ended_us=now))

@@ -73,7 +73,7 @@ _PRIMARY = 0xFF
 
 
 def explain_failure(error: SQLAlchemyError) -> LbacalError | None:
-    """What to tell about a failure; None if it is a fault of this program."""
+    """Explain a failure in one sentence; None if it is a fault of this program."""
     if isinstance(error, PoolTimeoutError):
         return UnavailableError(
             "the server is busy: no connection to the database is free", str(error), is_passing=True

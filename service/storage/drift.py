@@ -43,7 +43,7 @@ class PathMonths:
 
 @dataclass(frozen=True)
 class StoredYear:
-    """What the months of a year of a station say together, as JSON, and the months of its paths.
+    """The drift of all paths of a station in a year, as JSON, and the months of its paths.
 
     `digest` names what it says. The station of the array is the empty string. `matrix` holds every path beside the
     station's median; the array has neither it nor paths.
@@ -74,7 +74,7 @@ class DriftStore(Store):
         put_rows(self._connection, drift_year, [to_row(year, drift_year, **more)])
 
     def years(self, stations: Collection[str]) -> list[StoredYear]:
-        """What years say, in order of station and year, without the months of paths; the empty string is the array."""
+        """Drift of years, in order of station and year, without the months of paths; the empty string is the array."""
         columns = [drift_year.c[name] for name in ("station", "since_us", "digest", "months", "matrix")]
         statement = select(*columns).where(drift_year.c.station.in_(stations))
         ordered = statement.order_by(drift_year.c.station, drift_year.c.since_us)
@@ -98,7 +98,7 @@ class DriftStore(Store):
         return found
 
     def state(self) -> list[list[Any]]:
-        """What there is, by name: the report, and the months of every year that is kept."""
+        """The stored content by name: the report, and the months of every year that is kept."""
         years = select(drift_year.c.station, drift_year.c.since_us, drift_year.c.digest)
         ordered = years.order_by(drift_year.c.station, drift_year.c.since_us)
         reports = self._connection.execute(select(drift_report.c.inputs, drift_report.c.made_us)).all()
@@ -111,11 +111,11 @@ class DriftStore(Store):
         self._connection.execute(drift_report.insert().values(row))
 
     def report_made(self) -> tuple[str, Instant] | None:
-        """What the report that is kept was made from, and when; None where there is none."""
+        """The inputs of the stored report, and its date; None where there is none."""
         row = self._connection.execute(select(drift_report.c.inputs, drift_report.c.made_us)).one_or_none()
         return None if row is None else (row.inputs, row.made_us)
 
     def report(self) -> dict[str, Any] | None:
-        """What was found last."""
+        """Get the latest report."""
         found = self._connection.execute(select(drift_report.c.report)).scalar_one_or_none()
         return None if found is None else dict(json.loads(found))

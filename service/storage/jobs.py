@@ -103,7 +103,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Record:
-    """What is on record of a part: who works on it or did, how often it was begun, and how it ended."""
+    """The record of a part: its worker, how often it was begun, and how it ended."""
 
     request: Mapping[str, Any]
     state: str
@@ -116,7 +116,7 @@ class Record:
 
 @dataclass(frozen=True)
 class Tries:
-    """What became of due work: open or done, or failed so often, and when it may be tried again."""
+    """The state of due work: open or done, or how often it failed, and when it may be tried again."""
 
     is_settled: bool
     failed: int
@@ -159,7 +159,7 @@ class JobStore(Store):
         return int(number)
 
     def called_for(self, order: Order) -> dict[str, Any] | None:
-        """What called for the same work when it was due before; None where it never was."""
+        """The inputs that made the same work due before; None if it never was."""
         same = select(job.c.called_for).where(job.c.kind == order.kind, job.c.request == canonical_json(order.request))
         last = same.where(job.c.called_for.is_not(None)).order_by(job.c.id.desc()).limit(1)
         before = self._connection.execute(last).scalar_one_or_none()
@@ -256,7 +256,7 @@ class JobStore(Store):
         return self._connection.execute(update(job_part).where(is_outdated).values(values)).rowcount
 
     def get(self, number: int) -> Job:
-        """One job by its number."""
+        """Get one job by its number."""
         found = self._with_parts([number])
         if not found:
             raise NotFoundError(f"no job {number}; GET /v1/jobs lists them")

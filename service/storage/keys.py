@@ -15,7 +15,7 @@ from service.storage.rows import Store, from_row, insert_into
 
 @dataclass(frozen=True)
 class Key:
-    """Who may do what, until when."""
+    """An API key: its number, name, scopes and interval."""
 
     number: int
     name: str | None
@@ -72,7 +72,7 @@ class KeyStore(Store):
         self._connection.execute(delete(session).where(session.c.sha256 == sha256))
 
     def all(self) -> list[Key]:
-        """All keys, oldest first."""
+        """List all keys, oldest first."""
         return self._keys(None)
 
     def revoke(self, number: int, now: Instant) -> None:
@@ -108,7 +108,7 @@ class DeedStore(Store):
     """Completed requests by caller and idempotency key."""
 
     def begin(self, by: str, name: str, request_sha256: str, now: Instant) -> Deed | None:
-        """Take a name; the deed that has it already, once that is done: somebody who does it now is waited for."""
+        """Take a name; the request that has it already, once that is done: somebody who does it now is waited for."""
         self._connection.execute(delete(deed).where(deed.c.at_us < now - KEPT_US))
         row = {"by": by, "name": name, "request_sha256": request_sha256, "at_us": now}
         statement = insert_into(self._connection, deed).values(row).on_conflict_do_nothing().returning(deed.c.name)
@@ -117,7 +117,7 @@ class DeedStore(Store):
         return self.find(by, name)
 
     def find(self, by: str, name: str) -> Deed | None:
-        """The deed under a name, once it is done."""
+        """The request under a name, once it is done."""
         statement = select(deed).where(deed.c.by == by, deed.c.name == name, deed.c.answer.is_not(None))
         found = self._connection.execute(statement).one_or_none()
         return None if found is None else from_row(Deed, found)

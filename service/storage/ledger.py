@@ -244,7 +244,7 @@ class LedgerStore:
         return {(promotion.scope, instant): promotion for (_, instant), promotion in found.items()}
 
     def latest(self, scopes: Iterable[Scope]) -> dict[Scope, Promotion]:
-        """What answers where the last interval of each scope with a version begins, as the ledger stands now."""
+        """The version in effect at the begin of the last interval of each scope, by the present ledger."""
         of_key = {scope.key: scope for scope in scopes}
         keys = self._keys(of_key)
         statement = select(standing.c.scope, func.max(standing.c.valid_from_us)).group_by(standing.c.scope)
@@ -443,7 +443,7 @@ class TagStore(Store):
     """Tags are made once and never changed."""
 
     def find(self, name: str) -> Tag | None:
-        """A tag by its name."""
+        """Find a tag by its name."""
         row = self._connection.execute(select(tag).where(tag.c.name == name)).one_or_none()
         return None if row is None else from_row(Tag, row)
 

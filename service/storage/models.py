@@ -97,7 +97,7 @@ class ModelChange:
 
 @dataclass(frozen=True)
 class Gain:
-    """What an adopted cause gained in log-likelihood on the events of a window that its adoption had not seen.
+    """The gain of an adopted cause in log-likelihood on the events of a window that its adoption had not used.
 
     `expected` and its error follow from the size as it was adopted.
     """
@@ -190,7 +190,7 @@ def _change(row: Row[Any]) -> ModelChange:
 
 @dataclass(frozen=True)
 class Investigation:
-    """What the simulation gets wrong in the spectra of one station in one window; `id` is the hash of its inputs."""
+    """An investigation of the spectra of one station in one window; `id` is the hash of its inputs."""
 
     id: str
     station: str
@@ -213,7 +213,7 @@ class InvestigationStore(Store):
         add_rows(self._connection, investigation, [row])
 
     def find(self, name: str) -> Investigation | None:
-        """The investigation of that id."""
+        """Find the investigation of that id."""
         row = self._connection.execute(select(investigation).where(investigation.c.id == name)).one_or_none()
         return None if row is None else _value(row)
 

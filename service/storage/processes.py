@@ -62,7 +62,7 @@ class ProcessStore(Store):
         self._connection.execute(delete(process).where(process.c.name == name))
 
     def all(self) -> Sequence[Process]:
-        """Those seen within a day, by kind and name."""
+        """Processes that reported within a day, by kind and name."""
         now = read_database_clock(self._connection)
         rows = self._connection.execute(select(process).order_by(process.c.kind, process.c.name))
         return [from_row(Process, row, silent_us=now - row.seen_us) for row in rows]

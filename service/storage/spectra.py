@@ -91,7 +91,7 @@ class Arrivals:
     def add(self, spectra: Spectra, far: Floats | None = None) -> int:
         """Store what is new and return its count; a different spectrum under a stored key is a conflict.
 
-        `far` is power over what is usual of a path, shape (row,), for spectra that wait for the night; NaN for others.
+        `far` is power over the usual power of a path, shape (row,), for spectra that wait; NaN for others.
         """
         times = np.round(spectra.time_unix * 1e6).astype(np.int64)
         events = self._number_events(spectra, times)
@@ -118,7 +118,7 @@ class Arrivals:
         return {row.sha256: (row.spectra, json.loads(row.warnings or "[]")) for row in rows}
 
     def newest(self) -> Instant | None:
-        """When spectra arrived last."""
+        """Find when spectra arrived last."""
         newest: Instant | None = self._connection.execute(select(func.max(receipt.c.at_us))).scalar_one()
         return newest
 
@@ -334,7 +334,7 @@ class EventsAsked:
 
 @dataclass(frozen=True)
 class Window:
-    """What a fit reads: the usable events of [since, until), of a scope; None for station means all."""
+    """The spectra of a fit: the usable events of [since, until), of a scope; None for station means all."""
 
     since: Instant
     until: Instant
@@ -346,7 +346,7 @@ Content = tuple[int, int]
 
 
 class SpectraStore(Store):
-    """What is stored of events and spectra."""
+    """Stored events and spectra."""
 
     @property
     def arrivals(self) -> Arrivals:
@@ -490,11 +490,11 @@ class SpectraStore(Store):
         return found
 
     def count_events(self) -> int:
-        """How many events are stored."""
+        """Count the stored events."""
         return int(self._connection.execute(select(func.count()).select_from(event)).scalar_one())
 
     def content(self, window: Window) -> Content:
-        """What a window holds: the count of its usable spectra, and the number of the last flag set in it.
+        """The content of a window: the count of its usable spectra, and the number of the last flag set in it.
 
         Spectra are only ever added and flags only ever appended, so the pair is the same only if the content is.
         """
@@ -576,7 +576,7 @@ class SpectraStore(Store):
         return self._with_counts(self._connection.execute(statement).all())
 
     def event(self, event_id: str) -> StoredEvent:
-        """One event by its name."""
+        """Get one event by its name."""
         rows = self._connection.execute(select(event).where(event.c.event_id == event_id)).all()
         if not rows:
             raise NotFoundError(f"no event {event_id!r} is stored; GET /v1/events lists them")

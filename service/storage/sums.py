@@ -29,7 +29,7 @@ DRIFT = "drift"
 
 @dataclass(frozen=True)
 class Sums:
-    """What is kept of a block, and what it was made from.
+    """Stored sums of a block, and the inputs that they were made from.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class SumStore(Store):
         return list(self.of_kind(kind, (sums.c.scope == scope.key) & is_apart))
 
     def names_beside(self, kind: str, scope: Scope, since: Instant, until: Instant) -> list[list[Any]]:
-        """What names these blocks: they are others once the fit of their window was made from other spectra."""
+        """The name of the lines of these blocks; another one where their window was fitted from other spectra."""
         named = [getattr(sums.c, name) for name in ("since_us", "inputs", "whole", "flag", "event")]
         is_apart = (sums.c.until_us <= since) | (sums.c.since_us >= until)
         is_it = (sums.c.kind == kind) & (sums.c.scope == scope.key) & is_apart
@@ -117,7 +117,7 @@ class SumStore(Store):
 
 @dataclass(frozen=True)
 class Told:
-    """What a scope is told after a fit: the version, whether it is in effect, and its curves.
+    """The curves that a scope is served after a fit: the version, whether it is in effect, and its curves.
 
     `curves` holds C and its statistical error by dipole, shape (freq,) each; none where the version has no C.
     """
@@ -130,7 +130,7 @@ class Told:
 
 @dataclass(frozen=True)
 class KeptPiece:
-    """A window that no hardware change cuts, the lines of its paths and what these are told."""
+    """A window that no hardware change cuts, the lines of its paths and the curves that these are served."""
 
     since: Instant
     until: Instant

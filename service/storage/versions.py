@@ -169,7 +169,7 @@ class Version:
 
     @property
     def payload_sha256(self) -> str:
-        """What clients verify: of stored curves the hash of then, which tells whether they are what they were."""
+        """The hash that clients verify: of stored curves the hash of then, which shows whether they have changed."""
         return self.stored_sha256 or hash_content(self.payload)
 
     @property
@@ -189,7 +189,7 @@ class Version:
         return {one.budget for one in covariances if one is not None and one.budget is not None}
 
     def curve_of(self, dipole: str) -> CalibrationCurve:
-        """The curve that serves a dipole."""
+        """Find the curve that serves a dipole."""
         return next(curve for curve in self.curves if curve.dipole in (dipole, None))
 
     def cable_of(self, path: Scope, instant: Instant) -> str | None:
@@ -199,7 +199,7 @@ class Version:
         return None if chain is None else chain.cables.cable_of(str(path.station), int(str(path.antenna)), seconds)
 
     def tell(self, path: Scope, instant: Instant) -> ToldCurve:
-        """The curve as a path is told it, through the cable that the path has at an instant."""
+        """The curve as a path is served it, through the cable that the path has at an instant."""
         station, antenna, dipole = str(path.station), int(str(path.antenna)), str(path.dipole)
         return carry_to_path(
             self.curve_of(dipole), self.chains.get(dipole), station, antenna, dipole, instant / MICROSECONDS
@@ -418,7 +418,7 @@ class BudgetStore(Store):
         add_rows(self._connection, budget, rows)
 
     def get(self, digest: str) -> dict[str, Any]:
-        """One budget as JSON values."""
+        """Get one budget as JSON values."""
         found = self.get_many([digest])
         if not found:
             raise NotFoundError(f"no budget {digest!r}; a curve names its own in covariance.systematic.budget")

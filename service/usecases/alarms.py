@@ -1,7 +1,7 @@
 """Alarms: what is wrong and lasts, told once; acknowledged by those who know of it.
 
 Steps and slopes come from the watch (`service.usecases.watch`), which follows all paths when their months changed. What
-a look at the database can tell is looked for every night, before its work and after it: paths that went silent or dead
+a look at the database can tell is looked for every day, before the work and after it: paths that went silent or dead
 while others have events, data that stopped coming, versions that misfit, named causes that move C in effect, adopted
 causes that gain too little on new events, work that failed and that nothing made up for.
 """
@@ -188,7 +188,7 @@ class Alarms:
             return stores.alarms.settle(LOOKED_FOR, present, now)
 
     def newest(self, asked: AlarmsAsked) -> list[Alarm]:
-        """Alarms, newest first."""
+        """List alarms, newest first."""
         with self.database.read() as stores:
             found = stores.alarms.newest(asked, self.clock())
         waiting = self.not_refitted()
@@ -254,7 +254,7 @@ def _silent(stores: Stores) -> dict[Scope, Instant]:
 
 
 def count_alarms(stores: Stores, now: Instant) -> AlarmCounts:
-    """How many alarms there are."""
+    """Count the alarms."""
     is_open, is_known = (stores.alarms.count(now, state) for state in (OPEN, ACKNOWLEDGED))
     return AlarmCounts(is_open, is_known, stores.alarms.count_raised(now - DAY_US))
 

@@ -151,7 +151,7 @@ class Calibrations:
     def in_effect(
         self, at: Instant, paths: Sequence[Scope], as_of: Instant | None = None, *, hold: bool = False
     ) -> InEffect:
-        """What answers for paths at an instant; an error naming the neighbours if nothing does for any of them."""
+        """Curves in effect for paths at an instant; an error naming the neighbours if there is none for any of them."""
         asked, kept = self.database.ask(lambda s: (s.ledger.answers(paths, at, as_of), s.changes.kept(as_of=as_of)))
         of_antenna = _by_antenna(kept)
         answers = _pick_decisive(asked)
@@ -232,7 +232,7 @@ class Calibrations:
             return stores.budgets.get(digest)
 
     def get(self, version_id: str) -> Version:
-        """A version by its id."""
+        """Get a version by its id."""
         with self.database.read() as stores:
             return stores.versions.get(version_id)
 
@@ -265,7 +265,7 @@ def _list_curves(
     *,
     is_held: bool,
 ) -> Iterator[CurveInEffect]:
-    """The curve that a path is told; of an array that was asked for by itself, those of its reference chains."""
+    """The curve that a path is served; of an array that was asked for by itself, those of its reference chains."""
     if asked.antenna is None:
         for curve in version.curves:
             yield CurveInEffect(asked, curve.dipole, promotion, is_held, trace, None, None, None, epoch, version, at)

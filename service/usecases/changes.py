@@ -59,7 +59,7 @@ def mark_refitted(stores: Stores, changes: Sequence[KeptChange], dipoles: Collec
 
 
 def propose(made: Investigation, instrument: Instrument) -> Iterator[tuple[Change, Evidence]]:
-    """What an investigation found along the date, as a change; anything else that it found is a cause of the model."""
+    """Propose the finding of an investigation along the date as a change; other findings are causes of the model."""
     every = {(path.antenna, path.dipole) for path in select_paths(instrument, made.station, None, None)}
     for number, finding in enumerate(made.report["findings"]):
         if not (follows_date(finding["cause"], finding["parameters"]) and "date_unix" in finding["parameters"]):
@@ -91,7 +91,7 @@ class Changes:
             return mark_refitted(stores, stores.changes.kept(station), self.instrument.dipoles)
 
     def waiting(self) -> list[KeptChange]:
-        """Those that cut windows and are not yet refitted."""
+        """The changes that cut windows which are not yet refitted."""
         return [one for one in self.list_all() if not one.is_refitted]
 
     def enter(self, body: ChangeBody, by: str) -> KeptChange:
@@ -111,7 +111,7 @@ class Changes:
             return mark_refitted(stores, [decided], self.instrument.dipoles)[0]
 
     def foresee(self, number: int, body: DecisionBody, by: str) -> tuple[KeptChange, list[ChangeOfC]]:
-        """The change as it would be decided, and what its paths would be told then, by fits of its year."""
+        """The change as it would be decided, and what that does to the curves of its paths, by fits of the year."""
         with self.database.read() as stores:
             kept = _require_open(stores.changes.get(number), body.decision)
             then = replace(kept, said=Decision(body.decision, self.clock(), by, body.reason))

@@ -189,7 +189,7 @@ def tell_story(version: Version, first: Version, dipole: str) -> Story:
 
 
 def explain_version(version: Version, first: Version, dipole: str) -> str:
-    """What differs between a version and the first of its polarisation, besides the spectra; in words."""
+    """Explain the differences between a version and the first of its polarisation, besides the spectra; in words."""
     if version.id == first.id:
         return "the first"
     now, before = version.chains.get(dipole), first.chains.get(dipole)
@@ -220,7 +220,7 @@ HALF_A_MONTH_S = 15 * 86_400.0
 
 @dataclass(frozen=True)
 class Step:
-    """What changed at a date, as the report of the watch tells it, and the version in effect then."""
+    """A step at a date, from the report of the watch, and the version in effect then."""
 
     change: Mapping[str, Any]
     calibration: str | None
@@ -241,7 +241,7 @@ class Step:
 
 @dataclass(frozen=True)
 class DriftSeries:
-    """What is known of a scope over time; steps ranked from the most significant."""
+    """The drift of a scope; steps ranked from the most significant."""
 
     scope: Scope
     versions: Sequence[MeanC]
@@ -311,7 +311,7 @@ class Drift:
             return hash_content([stores.drift.state(), stores.ledger.newest_number()])
 
     def steps(self, count: int) -> list[Step]:
-        """The most significant steps."""
+        """List the most significant steps."""
         with self.database.read() as stores:
             return _steps(stores, Scope(), stores.drift.report(), count)
 
@@ -319,7 +319,7 @@ class Drift:
 def find_means_in_effect(stores: Stores, scopes: Sequence[Scope]) -> list[MeanC]:
     """Find the band means of C of the versions that answer for some scopes at any time, as the ledger stands now.
 
-    Versions that were replaced night by night, were withdrawn or wait at the gate are left out.
+    Versions that were replaced day by day, were withdrawn or wait at the gate are left out.
     """
     of_scope: dict[Scope, list[Promotion]] = {scope: [] for scope in scopes}
     for promotion in stores.ledger.standing(scopes):

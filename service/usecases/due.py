@@ -1,4 +1,4 @@
-"""What is due: every night, whatever the stored spectra call for and nobody has done.
+"""What is due: every day, whatever the stored spectra call for and nobody has done.
 
 The rule. For every calendar year (UTC) that holds usable spectra there is one refit for the array, and for every
 station with spectra in it one of scope station and one of scope antenna, and after all refits an investigation. It is
@@ -6,8 +6,8 @@ due when its window got new spectra or a flag was set or cleared in it, when the
 it, or a person lifted that cut, or when what was made is too old: made with
 another instrument, sky power or model version, by another policy of the search, or before the adoption or withdrawal of
 a cause that acts in the window.
-Work is named by exactly these. It is due until a part of that name is *done*: two schedulers, a restart or a night
-missed change nothing, and work that failed or was cancelled is tried again, after ten minutes and then after ever
+Work is named by exactly these. It is due until a part of that name is *done*: two schedulers, a restart or a missed
+day change nothing, and work that failed or was cancelled is tried again, after ten minutes and then after ever
 longer pauses, because what is due follows from what is stored and not from when anybody looked.
 """
 
@@ -82,7 +82,7 @@ class DueWork:
         return self._add(found)
 
     def has_failed_lately(self) -> bool:
-        """Whether due work failed within a day or two: then it is worth looking again before the night."""
+        """Whether due work failed within a day or two: then it is worth looking again before the daily run."""
         with self.database.read() as stores:
             failures = stores.jobs.failures(self.clock() - 2 * DAY_US, 1000)
         return any(one.tries and one.tries.again is not None and one.tries.again <= self.clock() for one in failures)
@@ -92,7 +92,7 @@ class DueWork:
 
         What a refit or the watch leaves behind may call for refits: of other years of the same hardware, whose lines
         are fitted together, and where an antenna changed. They are looked for once no refit is open, and not of windows
-        that are for the next night.
+        that are for the next daily run.
         """
         if part.kind == DRIFT:
             return self.enqueue_watch()

@@ -75,7 +75,7 @@ class Wanted:
 
     @property
     def taken_out(self) -> list[Cut]:
-        """What is taken out of a mean, which then is that of its antennas before they changed."""
+        """The changes that are taken out of a mean, so that it is that of its antennas before they changed."""
         return [one for one in self.changed if self._is_part(one) and one.power is not None]
 
     @property
@@ -90,7 +90,7 @@ class Wanted:
 
     @property
     def named(self) -> list[list[Any]]:
-        """What names these changes."""
+        """The hash of these changes."""
         cuts = [[one.station, one.antenna, one.date] for one in self.cuts]
         return cuts + [[*vars(one).values()] for one in self.taken_out]
 
@@ -101,7 +101,7 @@ class Wanted:
 
     @property
     def window(self) -> Window:
-        """What is read: the whole station where a path's model has causes, whose sizes belong to more than the path."""
+        """The window that is read: of the whole station where a path's model has causes of more than the path."""
         is_part = self.of.antenna is not None and not self.model.is_plain
         return Window(self.since, self.until, Scope(self.of.station) if is_part else self.of)
 
@@ -207,7 +207,7 @@ class Fits:
         }
 
     def read_later(self, stores: Stores, now: Sums, window: Window) -> Later | None:
-        """What is kept of a block with the spectra of later events; None where more than these changed."""
+        """Read the kept lines of a block with the spectra of later events; None where more than these changed."""
         kept = stores.sums.get(now.kind, now.scope, now.since, now.until)
         if kept is None or (kept.inputs, kept.flag) != (now.inputs, now.flag):
             return None
@@ -277,7 +277,7 @@ class Fits:
 
         With a budget given, that of other fits of the station, the versions name it among their inputs. One chain is
         fitted to a path through all windows with the same hardware; a piece of the window that is too small for a fit
-        borrows from those with another.
+        takes from those with another.
         """
         pieces = list(self._fit_pieces(whole, wanted, neighbours, budget))
         versions = [version for made, *_ in pieces for version in made]
@@ -497,7 +497,7 @@ TellKey = tuple[Scope, Instant, Instant]
 
 @dataclass(frozen=True)
 class Later:
-    """What is kept of a block, and the spectra that came since; None where there are none."""
+    """The kept lines of a block, and the spectra that came since; None where there are none."""
 
     block: Sums
     spectra: Spectra | None
@@ -505,7 +505,7 @@ class Later:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What later events confirm, and the paths of which only a fit from spectra can tell: none where it is a mean."""
+    """Paths that later events confirm, and those that only a fit from spectra can decide: none of a mean."""
 
     examined: Sequence[Examined]
     rest: Sequence[Scope]
@@ -538,7 +538,7 @@ def keep_fit(stores: Stores, block: Sums, made: Made, told: Mapping[TellKey, Tol
 
 
 def keep_told(stores: Stores, block: Sums, pieces: Sequence[KeptPiece], told: Mapping[TellKey, Told]) -> None:
-    """Keep what some scopes are told since, with the lines as they are."""
+    """Keep the curves that some scopes are served since, with the lines as they are."""
     now = [
         replace(piece, told=[told.get((one.scope, piece.since, piece.until), one) for one in piece.told])
         for piece in pieces
@@ -556,7 +556,7 @@ def find_standing(stores: Stores, scopes: Sequence[Scope], since: Instant, until
 
 
 def tell(version: Version, *, is_in_effect: bool) -> Told:
-    """What a scope is told after a fit."""
+    """Read the curves that a scope is served after a fit."""
     curves: Mapping[str, tuple[Floats, Floats]] = {
         str(curve.dipole): (curve.c, curve.c_sigma_stat)
         for curve in version.curves
@@ -581,7 +581,7 @@ def _list_scopes(lines: Sequence[KeptLines]) -> list[Scope]:
 
 
 def _find_shift(told: Told, continued: Continued) -> float | None:
-    """By how much C may differ from what is told, in standard deviations: the largest of any channel that has both.
+    """By how much C may differ from what is served, in standard deviations: the largest of any channel that has both.
 
     None where that is not decided, or where one of them has a curve that the other lacks.
     """

@@ -66,7 +66,7 @@ def compare_curves(before: CalibrationCurve, after: CalibrationCurve) -> CurveCh
 
 
 def compare_versions(first: Version, second: Version) -> list[tuple[str | None, CurveChange]]:
-    """How the curves of two versions differ, by dipole, as one and the same path is told them.
+    """How the curves of two versions differ, by dipole, as one and the same path is served them.
 
     If one of them is a path's own, the other is carried through that path's cable. Curves of two reference chains are
     compared through one and the same cable, C L_ref^1/2: a change of which antennas were averaged is no change.
@@ -168,7 +168,7 @@ def drop_noise(report: dict[str, Any]) -> dict[str, Any]:
 
 
 def name_members(members: Sequence[Mapping[str, Any]], most: int) -> str:
-    """Who of a station changed: paths, and polarisations as a whole."""
+    """Name the members of a station that changed: paths, and polarisations as a whole."""
     named = [
         f"all {one['dipole']}" if one["antenna"] is None else f"antenna {one['antenna']} {one['dipole']}"
         for one in members[:most]
@@ -185,7 +185,7 @@ def tell_change(mean: float, sigma: float, shape: Shape, frequency_mhz: Floats) 
 
 
 def tell_shapes(change: Mapping[str, Any], frequency_mhz: Floats) -> str:
-    """What changed along frequency beside the mean over the band; nothing where the mean says it all."""
+    """Describe changes along frequency beside the mean over the band; empty where the mean describes them."""
     of_mean = abs(change["size"]) / change["sigma"]
     return " and ".join(part.words for part in _rank_shapes(of_mean, change["shape"], frequency_mhz))
 

@@ -44,7 +44,7 @@ def name_row(column: str, row: int) -> str:
 
 @dataclass(frozen=True)
 class Receipt:
-    """What became of a batch; `warnings` name the paths whose spectra are stored and wait for the night."""
+    """The result of storing a batch; `warnings` name the paths whose spectra are stored and wait for the daily run."""
 
     received: int
     stored: int
@@ -168,7 +168,7 @@ class Intake:
                 raise BadInputError(name_place("time_unix", k), expected, found)
 
     def events(self, asked: EventsAsked) -> list[StoredEvent]:
-        """What is stored, in order of arrival."""
+        """Stored events in order of arrival."""
         with self.database.read() as stores:
             return stores.spectra.events(asked)
 

@@ -125,7 +125,7 @@ class Investigations:
             return stores.investigations.get(name)
 
     def newest(self, *, before: str | None, station: str | None, limit: int) -> Sequence[Investigation]:
-        """Investigations, newest first."""
+        """List investigations, newest first."""
         with self.database.read() as stores:
             return stores.investigations.newest(before=before, station=station, limit=limit)
 

@@ -22,7 +22,7 @@ SESSION_US = DAY_US // 2
 
 @dataclass(frozen=True)
 class Caller:
-    """Who asks: a key, or nobody in particular."""
+    """The caller of a request: a key, or nobody in particular."""
 
     name: str
     scopes: frozenset[str]
@@ -56,7 +56,7 @@ class Keys:
             return stores.keys.add(_sha256(text), scopes, created=now, expires=expires, name=name), text
 
     def list(self) -> list[Key]:
-        """All keys, without their texts."""
+        """List all keys, without their texts."""
         with self.database.read() as stores:
             return stores.keys.all()
 
@@ -78,7 +78,7 @@ class Keys:
             stores.keys.end_session(_sha256(session))
 
     def require(self, authorization: str | None, *scopes: str, session: str | None = None) -> Caller:
-        """Who asks, if they may: `authorization` is the header, `session` that of a browser; None where absent."""
+        """Find the caller, if they may: `authorization` is the header, `session` a browser's; None where absent."""
         caller = self._identify(authorization) if session is None else self._recognise(session)
         for scope in scopes:
             if not caller.may(scope):

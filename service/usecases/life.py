@@ -47,7 +47,7 @@ class Lives:
     alarms: Alarms
 
     def environment(self, since: Instant, until: Instant) -> dict[str, list[tuple[Instant, Floats]]]:
-        """What was recorded beside the events of a time, by covariate and month."""
+        """Covariates of a time, by name and month."""
         with self.database.read() as stores:
             return stores.spectra.covariates_by_month(since, until)
 

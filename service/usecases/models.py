@@ -44,8 +44,8 @@ SCOPES = ("antenna", "station")
 class Adoption:
     """A change of a station's model as it is planned.
 
-    `before` is what the station has while the plan is made; `changes` are those of what its paths are told in the year
-    of the investigation.
+    `before` is what the station has while the plan is made; `changes` are those of the curves that its paths are served
+    in the year of the investigation.
     """
 
     change: ModelChange
@@ -75,7 +75,7 @@ class AdoptedModel:
 
     @property
     def gains_of_change(self) -> Sequence[Gain]:
-        """What the cause that was adopted or withdrawn gained, window by window."""
+        """The gains of the adopted or withdrawn cause, window by window."""
         return self.gains.get(self.change.cause, ())
 
 

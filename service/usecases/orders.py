@@ -26,7 +26,7 @@ RETRY_S = 60.0
 
 @dataclass(frozen=True)
 class Limits:
-    """What one key may ask for: open parts beside what it asks for, and the longest window of a fit."""
+    """The limits of one key: the most open parts, and the longest window of a fit."""
 
     open_parts: int
     window_days: float
@@ -77,7 +77,7 @@ class Inputs:
 
 
 def name_inputs(simulation: Simulation) -> Inputs:
-    """The inputs of this process."""
+    """Name the inputs of this process."""
     return Inputs(simulation.instrument.digest(), simulation.sky_power.digest())
 
 
@@ -117,7 +117,7 @@ class Deeds:
         Parameters
         ----------
         name
-            The `Idempotency-Key` that the caller chose; None does the deed in any case.
+            The `Idempotency-Key` that the caller chose; None does it in any case.
         request
             What was asked, whole; something else under the same name is a conflict.
         """

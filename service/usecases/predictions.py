@@ -44,7 +44,7 @@ class Predictions:
         return curve, predict(told, simulation, seconds, budget=budget, temperature_c=temperature_c, is_own=is_own)
 
     def beside_data(self, curve: CurveInEffect) -> tuple[OverLst, Floats] | None:
-        """What the events of its version's window say of a path: band power over sidereal time, and the residual map.
+        """Data and prediction of a path in its version's window: band power over sidereal time, and the residual map.
 
         The map is measured over predicted power minus 1, shape (lst, freq). None where there are no spectra.
         """

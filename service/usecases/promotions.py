@@ -27,9 +27,9 @@ Answer = TypeVar("Answer")
 
 @dataclass(frozen=True)
 class Change:
-    """What a promotion changes for a path over [start, end): the version before and after, and how far C moves.
+    """The change by a promotion for a path over [start, end): the version before and after, and how far C moves.
 
-    C is what the path is told, through the cable that it has at `start`.
+    C is that of the curve that the path is served, through the cable that it has at `start`.
     """
 
     path: Scope
@@ -135,7 +135,7 @@ class Promotions:
         )
 
     def changes(self, stores: Stores, wanted: Sequence[Promotion], made: Sequence[Version] = ()) -> list[Change]:
-        """What promotions change for every path that they can answer; `made` are versions that are not stored."""
+        """List the changes by promotions for every path that they answer; `made` are versions that are not stored."""
         # numbers order what shares its instant; the ledger gives others in the same order
         wanted = [replace(p, number=k) for k, p in enumerate(wanted)]
         new = {scope: [p for p in wanted if p.scope == scope] for scope in dict.fromkeys(p.scope for p in wanted)}
@@ -155,7 +155,7 @@ class Promotions:
         return [_with_size(change, versions) for change in found]
 
     def foresee(self, stores: Stores, made: Sequence[Version], by: str, reason: str) -> list[Change]:
-        """What versions with C that are not stored would change, each promoted for its window."""
+        """List the changes by versions with C that are not stored, each promoted for its window."""
         told = [_over_window(one, by, reason) for one in made if all(curve.c is not None for curve in one.curves)]
         return self.changes(stores, told, made) if told else []
 
@@ -258,7 +258,7 @@ class Tags:
             return stores.tags.after(cursor, limit)
 
     def read_knowledge(self, as_of: str | None, tag: str | None) -> Knowledge:
-        """What a question means by `as_of` or `tag`."""
+        """Read the instant of knowledge of a query from its `as_of` or `tag`."""
         if tag is None:
             instant = None if as_of is None else self._past(as_of)
             return Knowledge(instant, as_of, instant is not None and instant < self.clock() - SETTLED_US)

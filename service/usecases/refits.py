@@ -1,4 +1,4 @@
-"""Refits: asked for by an admin, or due because the night found new events; done part by part."""
+"""Refits: asked for by an admin, or due because the daily run found new events; done part by part."""
 
 from __future__ import annotations
 
@@ -236,7 +236,7 @@ class _Kept:
 
     @classmethod
     def of(cls, kept: Sequence[_Kept]) -> _Kept:
-        """What several windows left behind, together."""
+        """Join the results of several windows."""
         result: dict[str, Any] = {
             name: [one for each in kept for one in each.result[name]] for name in ("calibrations", "promoted")
         }
@@ -342,17 +342,17 @@ class Jobs:
     clock: Callable[[], Instant]
 
     def get(self, number: int) -> Job:
-        """One job."""
+        """Get one job."""
         with self.database.read() as stores:
             return stores.jobs.get(number)
 
     def records(self, number: int) -> list[Record]:
-        """What is on record of the parts of a job."""
+        """The records of the parts of a job."""
         with self.database.read() as stores:
             return stores.jobs.records(number)
 
     def newest(self, *, before: int | None = None, limit: int = 100) -> list[Job]:
-        """Jobs, newest first."""
+        """List jobs, newest first."""
         with self.database.read() as stores:
             return stores.jobs.newest(before=before, limit=limit)
 

@@ -35,7 +35,7 @@ FAILURES_SHOWN = 50
 
 @dataclass(frozen=True)
 class State:
-    """What an operator looks at. `problem` is why the service is not ready; None if it is."""
+    """The status for an operator. `problem` is why the service is not ready; None if it is."""
 
     problem: str | None
     processes: Sequence[Process]
@@ -108,8 +108,9 @@ def _explain_waiting(waiting: Mapping[str | None, int], processes: Sequence[Proc
 class StationState:
     """How many paths of a station are calibrated at the last event, and how many of them by their own version.
 
-    A path counts if it has data behind what it is told: its own version, or that of a mean of paths of which it is one.
-    `without_data` are told the mean of others.
+    A path counts if its data are in the curve that it is served: its own version, or that of a mean to which it
+    belongs.
+    `without_data` are served the mean of others.
     """
 
     name: str
@@ -136,12 +137,12 @@ class Overview:
 
     @property
     def without_data(self) -> int:
-        """Those that are told the mean of others."""
+        """Paths without data of their own, which are served the mean of others."""
         return sum(station.without_data for station in self.stations)
 
     @property
     def paths_in_effect(self) -> int:
-        """Those with data behind the version in effect at the last event."""
+        """Paths with data in the version in effect at the last event."""
         return sum(station.in_effect for station in self.stations)
 
 
@@ -182,7 +183,7 @@ def _is_member(version: Version, path: Scope) -> bool:
 
 
 def tell_problems(state: State, overview: Overview, stopped: Sequence[str]) -> list[str]:
-    """What is not all right, the worst first; nothing where everything is."""
+    """List the problems, the worst first; empty where there is none."""
     found = [] if state.problem is None else [f"The service is not ready: {state.problem}."]
     found += [f"{sentence}." for sentence in state.stuck]
     silent = overview.paths - overview.paths_in_effect - overview.without_data

@@ -134,7 +134,7 @@ def settle_changes(stores: Stores, report: Mapping[str, Any], now: Instant) -> N
 
 
 def read_changes(told: Mapping[str, Any]) -> list[Change]:
-    """What steps together at a date, as changes: one of each size; a station's median stands for all its paths."""
+    """Read steps at one date as changes: one of each size; a station's median stands for all its paths."""
     date, sigma = round(told["date_unix"] * SECOND_US), round(told["date_sigma_days"] * DAY_US)
     groups: list[list[Mapping[str, Any]]] = []
     for member in told["members"]:

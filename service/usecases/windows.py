@@ -46,7 +46,7 @@ class Neighbours:
     behind: Mapping[Owner, tuple[Floats, str]]
 
     def beside(self, since: Instant, until: Instant) -> list[tuple[KeptWindow, Beside]]:
-        """What stands beside a window, the nearest first."""
+        """The windows that are fitted together with a window, the nearest first."""
         ranked = sorted(self.windows, key=lambda one: (one.gap(since, until), one.since))
         return [(one, Beside(of, self._is_same(of, one, since, until))) for one in ranked for of in one.lines]
 
@@ -58,7 +58,7 @@ class Neighbours:
         return np.array([not any(first <= date <= last for date in found) for found in dates])
 
     def and_also(self, window: KeptWindow) -> Neighbours:
-        """The same with one window more."""
+        """Add one window."""
         return replace(self, windows=[*self.windows, window])
 
 
@@ -68,7 +68,7 @@ ALONE = Neighbours((), {}, {})
 def name_beside(
     scope: Scope, curves: Sequence[CalibrationCurve], beside: Sequence[tuple[KeptWindow, Beside]]
 ) -> dict[str, str]:
-    """What a version names of the windows that it was fitted together with."""
+    """Name the windows that a version was fitted together with."""
     return {BESIDE: name_windows(scope, beside)} if any(curve.repeated for curve in curves) else {}
 
 

@@ -18,7 +18,7 @@ class Answer(BaseModel):
 
 
 class ReceiptAnswer(Answer):
-    """What became of a batch of spectra."""
+    """The result of storing a batch of spectra."""
 
     received: int
     stored: int
@@ -56,7 +56,7 @@ class EventsAnswer(Answer):
 
 
 class RefitAnswer(Answer):
-    """What was enqueued."""
+    """The job that was enqueued."""
 
     job: int
 
@@ -159,7 +159,7 @@ class AlarmCountsAnswer(Answer):
 
 
 class StatusAnswer(Answer):
-    """What an operator looks at."""
+    """The status for an operator."""
 
     ready: bool
     problem: str | None
@@ -223,7 +223,7 @@ class Validity(Stretch):
 
 
 class ReferenceAnswer(Answer):
-    """What a curve of a wider scope was converted from."""
+    """The reference chain from which the curve of a wider scope was converted."""
 
     paths: int = Field(description="how many paths it is the mean of")
     cable: str | None = Field(description="of the path")
@@ -301,7 +301,7 @@ class EventNoiseAnswer(Answer):
 
 
 class PredictionAnswer(Answer):
-    """What a path should see at an instant, on the channels in which C is known."""
+    """The expected power of a path at an instant, on the channels in which C is known."""
 
     at: Moment
     calibration: str
@@ -393,7 +393,7 @@ class DiffAnswer(Answer):
 
 
 class ChangeAnswer(Validity, PathAnswer):
-    """What a promotion changes for a path over an interval."""
+    """The change by a promotion for a path over an interval."""
 
     before: str | None
     after: str | None
@@ -403,7 +403,7 @@ class ChangeAnswer(Validity, PathAnswer):
 
 
 class ChangesAnswer(Answer):
-    """What a promotion would change."""
+    """The changes by a promotion."""
 
     changes: list[ChangeAnswer]
 
@@ -508,7 +508,7 @@ class DriftMember(Answer):
 
 
 class DriftStep(PathAnswer):
-    """What changed at a date, beside its station or the other stations; several members have no antenna here."""
+    """A step at a date, relative to the station or the other stations; several members have no antenna here."""
 
     date: Moment
     date_sigma_days: float
@@ -563,7 +563,7 @@ AlarmKind = Literal[
 
 
 class AcknowledgementAnswer(Answer):
-    """Who knows of a problem."""
+    """The person who acknowledged a problem."""
 
     by: str
     at: Moment
@@ -609,7 +609,7 @@ class SizeAnswer(Fitted):
 
 
 class EvidenceAnswer(Answer):
-    """Who says that there is a change."""
+    """The source of a change."""
 
     model_config = ConfigDict(strict=True, extra="forbid", populate_by_name=True)
 
@@ -621,7 +621,7 @@ class EvidenceAnswer(Answer):
 
 
 class PathChangeAnswer(Answer):
-    """What changed and when, who says so, and what was decided: one row whoever found it."""
+    """A change with its date, origin and decision: one row whoever found it."""
 
     id: int
     paths: list[PathAnswer] | None = Field(description="null for a whole station or the array")
@@ -649,7 +649,7 @@ class PathChangesAnswer(Answer):
 
 
 class DecidedAnswer(PathChangeAnswer):
-    """A change as it is decided, and what its paths would be told by fits of its year."""
+    """A change as it is decided, and the curves that its paths would be served by fits of its year."""
 
     changes: list[ChangeAnswer]
 
@@ -658,7 +658,7 @@ class DecidedAnswer(PathChangeAnswer):
 
 
 class GainAnswer(Answer):
-    """What a cause gained on the events of a window that its adoption had not seen, sizes as adopted."""
+    """The gain of a cause on the events of a window that its adoption had not used, sizes as adopted."""
 
     since: Moment
     until: Moment
@@ -685,7 +685,7 @@ class AdoptedCauseAnswer(Answer):
 
 
 class ModelLine(Answer):
-    """What a station had from an adoption or a withdrawal on."""
+    """The model of a station from an adoption or a withdrawal on."""
 
     id: str
     station: str

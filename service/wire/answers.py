@@ -58,7 +58,7 @@ def describe_stretch(start: Instant | None, end: Instant | None, **also: Any) ->
 
 
 def describe_promotion(promotion: Promotion) -> dict[str, Any]:
-    """One line of the ledger."""
+    """Describe one line of the ledger."""
     return fill_answer(PromotionLine, promotion, promotion=promotion.number)
 
 
@@ -73,7 +73,7 @@ def describe_curve_in_effect(
     *,
     is_held: bool,
 ) -> dict[str, Any]:
-    """A curve as in fit.json, as the path is told it, with the version and the scope that answered."""
+    """A curve as in fit.json, as the path is served it, with the version and the scope that answered."""
     held = "held: nothing is in effect, the nearest in time answers" if is_held else None
     reasons = [text for text in (held, changed, told.reason) if text]
     return {
@@ -96,7 +96,7 @@ def describe_curve_in_effect(
 
 
 def describe_reference(chain: ReferenceChain, cable: str | None) -> dict[str, Any]:
-    """What a curve was converted from: how many paths, the path's cable, and the hashes that fix the conversion."""
+    """Describe the reference of a curve: number of paths, the path's cable, and the hashes that fix the conversion."""
     jensen = chain.jensen
     return {
         "paths": len(chain.members),

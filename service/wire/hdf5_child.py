@@ -88,7 +88,7 @@ def answer_one(connection: socket.socket) -> None:
 
 
 def read_file(content: bytes) -> bytes:
-    """What a file holds, as the server reads it."""
+    """Read a file as the server does."""
     try:
         columns = read_columns(content, "body", LARGEST_COLUMN)
     except LbacalError as error:

@@ -20,7 +20,7 @@ from lbacal_paper.everything import (
     describe_claims,
     insert_claims,
 )
-from lbacal_paper.statements import VERDICTS, load_statements
+from lbacal_paper.statements import BY_CONSTRUCTION, UNTESTED, VERDICTS, load_statements
 
 MOST_BYTES = 10_000_000
 
@@ -91,10 +91,18 @@ def claim(verdict: str, ours: float | None) -> dict[str, Any]:
 
 
 def test_claims_become_a_table_with_reasons() -> None:
-    text = describe_claims([claim("agree", 4.0), claim("disagree", 9.0), claim("cannot be tested here", None)])
+    text = describe_claims(
+        [
+            claim("agree", 4.0),
+            claim("disagree", 9.0),
+            claim("cannot be tested here", None),
+            claim("by construction", 5.0),
+        ]
+    )
     assert "| `agree` | 1 | text | at most 5 % | 4 ± 0.5 % | agree |" in text
     assert "## Where we disagree\n- `disagree`: so." in text
-    assert "## What cannot be tested here\n- `cannot`: so." in text
+    assert "## What cannot be tested here\n- `cannot` (1), text: so." in text
+    assert "## What holds by construction\n`by`." in text
 
 
 def test_claims_replace_what_stood_between_the_marks() -> None:
@@ -109,7 +117,10 @@ def test_claims_replace_what_stood_between_the_marks() -> None:
 def test_the_page_says_of_every_statement_what_a_run_finds(repository: Path, redone: Path) -> None:
     page = (repository / "docs/explanation/the-paper-redone.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `([a-z0-9-]+)` \|.*\| ([a-z ]+) \|$", page, re.MULTILINE)
-    assert [name for name, _ in rows] == [one.identifier for one in load_statements()]
+    for title, verdict in (("What cannot be tested here", UNTESTED), ("What holds by construction", BY_CONSTRUCTION)):
+        section = page.split(f"## {title}\n")[1].split("\n\n")[0].split("<!--")[0]
+        rows += [(name, verdict) for name in re.findall(r"`([a-z0-9-]+)`", section)]
+    assert sorted(name for name, _ in rows) == sorted(one.identifier for one in load_statements())
     for one in json.loads((redone / "claims.json").read_text()):
         # what lies near the limit of two standard deviations may fall on either side
         scale = 2 * np.hypot(one["precision"], one["sigma"] or 0.0)

@@ -99,7 +99,7 @@ class OnePath:
         return np.asarray((relative[:, None, :] @ self.whitener).ravel())
 
     def jacobian(self, parameters: Floats) -> Floats:
-        """Its derivative, shape (event x freq, parameter)."""
+        """Derivative of the model, shape (event x freq, parameter)."""
         channels = self.sky.shape[1]
         slope, (n_lna, _, _) = np.split(parameters * self.start, [channels])
         derivative = np.zeros((*self.sky.shape, channels + 3))

@@ -43,7 +43,7 @@ def read_only(path: Path) -> None:
 
 
 def average_file(path: Path) -> None:
-    """What `lbacal import --average 900 --channel-mhz 1 --band 30 80` computes."""
+    """Average a file as `lbacal import --average 900 --channel-mhz 1 --band 30 80` does."""
     source = open_source(path)
     average(source, 900.0, choose_channels(source, band_mhz=(30, 80), width_mhz=1.0))
 

@@ -67,7 +67,7 @@ def make_spectra(events: int, first: int, rng: np.random.Generator) -> Spectra:
 
 
 class BulkSqlite:
-    """What SQLite's own driver stores in a second."""
+    """Rows that SQLite's own driver stores in a second."""
 
     def __init__(self, url: str) -> None:
         self._connection = sqlite3.connect(url, isolation_level=None)
@@ -93,7 +93,7 @@ class BulkSqlite:
 
 
 class BulkPostgres:
-    """What PostgreSQL's own driver stores in a second."""
+    """Rows that PostgreSQL's own driver stores in a second."""
 
     def __init__(self, url: str) -> None:
         self._connection = psycopg.connect(url)

@@ -61,7 +61,7 @@ def fill_years(url: str, kept: int) -> None:
 
 
 def processor_s(process: int) -> float:
-    """What a process has used of the processor, s."""
+    """Processor time of a process, s."""
     fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 

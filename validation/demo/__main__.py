@@ -52,7 +52,7 @@ SHOWN_ANTENNAS = 2
 
 @dataclass(frozen=True)
 class Demonstration:
-    """What is computed from files: fits of the first year, what another year hides, and the measured curve."""
+    """Results from files: fits of the first year, the effect hidden in another year, and the measured curve."""
 
     campaign: Campaign
     first_year: Spectra
@@ -141,7 +141,7 @@ def tabulate_served(served: ServedRun, campaign: Campaign) -> list[list[str]]:
 
 
 def describe_hidden(shown: Demonstration) -> list[str]:
-    """What the simulation of the other year gets wrong, and what the extended model gains, in sentences."""
+    """Describe the error of the simulation of the other year, and the gain of the extended model, in sentences."""
     if not shown.found["findings"]:
         return [f"Nothing was named: {shown.found['verdict']}."]
     finding = shown.found["findings"][0]

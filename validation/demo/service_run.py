@@ -38,7 +38,7 @@ NIGHT = ("refit", "drift", "watch")
 
 @dataclass(frozen=True)
 class ServedRun:
-    """What the service answered: C in effect on two dates, and the drift of the station and of the path."""
+    """The answers of the service: C in effect on two dates, and the drift of the station and of the path."""
 
     url: str
     curves: dict[str, dict[str, Any]]

@@ -117,7 +117,7 @@ class DataSet:
 
     @property
     def settings(self) -> TwinSettings:
-        """What is simulated."""
+        """The settings of the simulation."""
         return TwinSettings(stations=(STATION,), events_per_year=self.events)
 
     @property
@@ -146,7 +146,7 @@ class DataSet:
 
     @cached_property
     def detector(self) -> IdealDetector:
-        """Who knows everything; the differences between models stay free where the finder's sky is its own."""
+        """The ideal detector; differences between models stay free where the finder's sky is the package's own."""
         (station,), _ = draw_stations(
             self.settings, self.instrument, self.sky_power, self.rng(), self.nuisances, self.view
         )
@@ -157,7 +157,7 @@ class DataSet:
 
     @property
     def scene(self) -> Scene:
-        """What surrounds the station."""
+        """The surroundings of the station."""
         return self.detector.station.scene
 
     def spectra(self, faults: Sequence[Fault] = ()) -> Spectra:
@@ -173,7 +173,7 @@ class DataSet:
     def ask(
         self, faults: Sequence[Fault] = (), *, is_own_sky: bool = False, judge: Judged = SEARCH, without: str = ""
     ) -> Answer:
-        """What the finder answers to the data with the faults; the sky power is given and taken at its word.
+        """Search the data with the faults; the sky power is given and taken as exact.
 
         Unless it counts as the package's own, whose differences from other models are projected out, as it does in a
         world that was drawn.

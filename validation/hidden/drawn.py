@@ -41,7 +41,7 @@ def describe_world(data: DataSet) -> Row:
 
 
 def unspanned_sigma(data: DataSet) -> float:
-    """What the models that the finder knows leave of the difference between its sky and the true one.
+    """The part of the difference between the finder's sky and the true one that its models do not span, in sigma.
 
     The ideal SNR of the mean of all antennas, the fit of the chain and the modes of the models left free.
     """

@@ -33,7 +33,7 @@ SEARCH: Judged = DEFAULT_JUDGE
 
 @dataclass(frozen=True)
 class Answer:
-    """What the finder says of one data set.
+    """The answer of the finder on one data set.
 
     Attributes
     ----------

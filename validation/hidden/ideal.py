@@ -94,7 +94,7 @@ class PathChains:
 
 @dataclass(frozen=True)
 class IdealDetector:
-    """What could be seen of a fault in one station's data by who knows everything but its size.
+    """The largest possible SNR of a fault in one station's data, by a detector that knows everything but its size.
 
     Attributes
     ----------

@@ -60,7 +60,7 @@ class Noise:
     def projections(
         self, slopes: Floats, constants: Floats, share: Floats, modes: Floats
     ) -> Iterator[tuple[slice, Floats, Floats]]:
-        """What the gains take of the columns of a fit, and of changes of the sky: V^-1 = R^-1 - W'W in these.
+        """Projections of the columns of a fit, and of changes of the sky, on the gains: V^-1 = R^-1 - W'W in these.
 
         Some events at a time, and gains together that show in the same paths: those of the paths of a dipole, then what
         is common to all.

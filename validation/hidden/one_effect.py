@@ -37,7 +37,7 @@ FEWEST = 3
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of one data set with one effect; without a label the data set cannot show the cause.
+    """The result for one data set with one effect; without a label the data set cannot show the cause.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ def hide_in(data: DataSet, cause: str, snr: float, rng: np.random.Generator, sco
 
 
 def ask_about(data: DataSet, planted: Planted, snr: float) -> Outcome:
-    """What the finder says of a data set with an effect."""
+    """Search a data set with an effect."""
     answer = data.ask([planted.fault])
     is_first = answer.named[:1] == [planted.cause]
     return Outcome(

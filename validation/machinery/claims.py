@@ -53,7 +53,7 @@ class Asked:
     changed: str = ""
 
     def verdict(self, interval: Interval) -> str:
-        """What an interval says of it."""
+        """Decide a claim by an interval."""
         if self.at_least is None and self.at_most is None:
             return MEASURED
         low = -np.inf if self.at_least is None else self.at_least
@@ -65,7 +65,7 @@ class Asked:
 
 @cache
 def read_claims(path: Path = CLAIMS) -> dict[str, dict[str, dict[str, Asked]]]:
-    """What is asked: proof, part, key."""
+    """Read the claims: proof, part, key."""
     stored = tomllib.loads(path.read_text(encoding="utf-8"))
     return {
         proof: {part: {key: Asked(**one) for key, one in asked.items()} for part, asked in parts.items()}
@@ -75,7 +75,7 @@ def read_claims(path: Path = CLAIMS) -> dict[str, dict[str, dict[str, Asked]]]:
 
 @dataclass(frozen=True)
 class One:
-    """What a proof found: the number that decides the claim of a key; n independent trials are behind it.
+    """A figure of a proof: the number that decides the claim of a key, from n independent trials.
 
     `%` is the unit of fractions, which are shown times 100.
     """
@@ -242,7 +242,7 @@ class Claim:
         return self.asked.verdict(self.interval) if self.n > 0 else UNDECIDED
 
     def as_dict(self) -> dict[str, Any]:
-        """As stored."""
+        """Describe the claim as it is stored."""
         asked = {name: value for name, value in asdict(self.asked).items() if value not in (None, "")}
         rest = {"found": self.found, "interval": list(self.interval), "n": self.n, "unit": self.unit}
         return {"key": self.key, **asked, **rest, "verdict": self.verdict}
@@ -255,7 +255,7 @@ class Claim:
 
     @property
     def words_asked(self) -> str:
-        """What is asked, in words."""
+        """The limit in words."""
         low, high = self.asked.at_least, self.asked.at_most
         if low is None and high is None:
             return "nothing"

@@ -12,7 +12,7 @@ WRITTEN = ("README.md", "docs/", "validation/records/", "validation/history.json
 
 
 def git(*arguments: str) -> str:
-    """What git prints."""
+    """Run git and return its output."""
     done = subprocess.run(["git", "-C", str(ROOT), *arguments], capture_output=True, text=True, check=False)  # noqa: S607
     if done.returncode:
         raise RuntimeError(f"git {arguments[0]} failed: {done.stderr.strip()}")

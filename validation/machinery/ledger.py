@@ -62,7 +62,7 @@ class Entry:
 
     @property
     def block(self) -> Block:
-        """Its seeds."""
+        """The seeds of the entry."""
         return Block(self.first, self.count)
 
     @property

@@ -24,21 +24,19 @@ What `lbacal` claims of itself, and what was found. `./dev prove NAME` runs a pr
 [`claims.toml`](../validation/claims.toml).
 
 The interval of a figure decides ([how](explanation/how-discovery-is-proven.md#when-a-claim-is-shown)). **Shown**: all
-of it is within what is asked. **Refuted**: none is. **Undecided**: it reaches over the limit. **Measured**: nothing is
-asked. Blocks counts those in the [ledger](../validation/ledger.jsonl), whatever became of them. *Holds*: the finder
-says of the [frozen data sets](../validation/frozen) what it said then. n counts independent trials. The rows are the
-main claims of each proof (`headlines`); what else is refuted or undecided stands at the end.
+of it is within what is asked. **Refuted**: none is. **Undecided**: it reaches over the limit. n counts independent
+trials and, in brackets, how often seeds were entered in the [ledger](../validation/ledger.jsonl), whatever became of
+them. A record is *old* where the finder says of the [frozen data sets](../validation/frozen) something else than then.
+The rows are the main claims of each proof; what else is refuted or undecided stands at the end.
 """
-TABLE = ("| claim | asked | found (interval) | n | verdict | proof | blocks | commit | holds |", "|" + "---|" * 9)
-PROOFS = "`./dev prove` without a name says what each proof is. Hours of one core: "
-TOLD_BELOW = """\
-By part of a proof, refuted claims in full and undecided ones that are no row by their
-names in the record, with (low..high):
-"""
+TABLE = ("| claim | asked | found (interval) | n | verdict | proof |", "|" + "---|" * 6)
+PROOFS = "`./dev prove` lists the proofs. Hours of one core: "
+OPEN = "Undecided, by their names in the record of each part, which has sentence, limit and interval: "
 LIMITS = """\
 - The twin that makes the data is ours. It shares no code with what is tested, but its author has read both: a fault of
   nature of which nobody thought is in no row.
-- This code has never calibrated the real instrument beside a lamp: no row compares C with an absolute measurement.
+- This code has never calibrated the real instrument beside a reference source: no row compares C with an absolute
+  measurement.
 - Rates hold for the stations that were simulated (four to 48 antennas, 150 to 900 events in a year).
 """
 
@@ -58,15 +56,14 @@ def write_page(records: Iterable[Record], history: Sequence[Record], entries: Se
         for claim in one.claims
         if _is_headline(claim, one)
     ]
-    proofs = [_introduce(proof, own) for proof, own in by_proof.items()]
-    lines = [INTRODUCTION, *TABLE, *rows, "", f"{PROOFS}{', '.join(proofs)}.", ""]
+    lines = [INTRODUCTION, *TABLE, *rows, "", f"{PROOFS}{_count_hours(by_proof)}.", ""]
     for proof in by_proof:
         images: dict[str, str] = getattr(importlib.import_module(f"validation.{proof}"), "IMAGES", {})
         lines += [
             line for name in images if (IMAGES / name).is_file() for line in (f"![{images[name]}](images/{name})", "")
         ]
-    lines += ["## What is not shown", "", LIMITS.rstrip(), "", TOLD_BELOW, *_open_claims(by_proof), ""]
-    lines += ["## Entered, no result", "", *_tell_entries(without_result([*records, *history], entries)), ""]
+    lines += ["## What is not shown", "", LIMITS.rstrip(), "", *_open_claims(by_proof), ""]
+    lines += ["## Entered, no result", "", *_tell_blocks(without_result([*records, *history], entries)), ""]
     return "\n".join(lines)
 
 
@@ -78,17 +75,20 @@ def renew_page() -> Path:
     return path
 
 
-def _tell_entries(entries: Iterable[Entry]) -> list[str]:
-    """A line a part: its blocks without a result, and when they were entered."""
+def _tell_blocks(entries: Iterable[Entry]) -> list[str]:
+    """Every part that has blocks without a result, with their seeds; the ledger has dates and commits."""
     blocks: dict[str, list[str]] = {}
     for one in entries:
-        told = f"seeds {one.first} to {one.block.end - 1} ({one.entered_at[:10]}, {one.commit})"
-        blocks.setdefault(name_of(one.proof, one.part), []).append(told)
-    return [f"- {name}: {', '.join(told)}." for name, told in blocks.items()]
+        blocks.setdefault(name_of(one.proof, one.part), []).append(f"{one.first}-{one.block.end - 1}")
+    told = "; ".join(f"{name} {', '.join(seeds)}" for name, seeds in blocks.items())
+    return [f"Seeds of the ledger: {told}."] if told else []
 
 
-def _introduce(proof: str, records: Sequence[Record]) -> str:
-    return f"`{proof}` {sum(record.hours for record in records):.2g}"
+def _count_hours(by_proof: Mapping[str, Sequence[Record]]) -> str:
+    """The hours of every proof that takes more than one; the others together."""
+    hours = {proof: sum(record.hours for record in records) for proof, records in by_proof.items()}
+    long = [f"`{proof}` {spent:.2g}" for proof, spent in hours.items() if spent > 1.0]
+    return ", ".join([*long, f"the others together {sum(spent for spent in hours.values() if spent <= 1.0):.2g}"])
 
 
 def _is_headline(claim: Claim, record: Record) -> bool:
@@ -100,13 +100,13 @@ def _row(claim: Claim, record: Record, history: Sequence[Record], entries: Seque
     verdict = f"**{claim.verdict}**" if claim.verdict not in (SHOWN, MEASURED) else claim.verdict
     verdict += tell_change(claim, record, history)
     blocks = sum((one.proof, one.part) == (record.proof, record.part) for one in entries)
-    proof = record.proof if record.part == record.proof else f"{record.proof} {record.part}"
-    cells = (claim.asked.says, claim.words_asked, claim.words_found, str(claim.n), verdict, f"`{proof}`", str(blocks))
-    return f"| {' | '.join(cells)} | {record.commit} | {'yes' if record.holds else 'no'} |"
+    proof = f"`{record.proof if record.part == record.proof else f'{record.proof} {record.part}'}`"
+    n, where = f"{claim.n} ({blocks})", proof if record.holds else f"{proof}, old"
+    return f"| {claim.asked.says} | {claim.words_asked} | {claim.words_found} | {n} | {verdict} | {where} |"
 
 
 def tell_change(claim: Claim, record: Record, history: Sequence[Record]) -> str:
-    """What was asked of the same claim before, if it had been refuted; empty where nothing was."""
+    """Describe the limit of the same claim before, if it had been refuted; empty where nothing was."""
     told = [claim.asked.changed] if claim.asked.changed else []
     earlier = [
         (one.made_at, other)
@@ -122,23 +122,31 @@ def tell_change(claim: Claim, record: Record, history: Sequence[Record]) -> str:
 
 
 def _open_claims(by_proof: Mapping[str, Sequence[Record]]) -> list[str]:
-    """What is not shown: a line a part, its refuted claims in full, its other undecided ones by their keys."""
-    lines = []
+    """What is not shown: a line a part with its refuted claims, then its other undecided ones by their keys."""
+    refuted, undecided = [], []
     for record in (one for records in by_proof.values() for one in records):
+        against = [claim for claim in record.claims if claim.verdict == REFUTED]
         told = [
-            f"**refuted** {claim.asked.says} (asked {claim.words_asked}, found {claim.words_found})"
-            for claim in record.claims
-            if claim.verdict == REFUTED
+            f"{_without_beginning(claim, before)} (asked {claim.words_asked}, found {claim.words_found})"
+            for claim, before in zip(against, [None, *against], strict=False)
         ]
-        open_keys: dict[str, list[str]] = {}
-        for claim in record.claims:
-            if claim.verdict == UNDECIDED and not _is_headline(claim, record):
-                interval = claim.words_found.replace(" to ", "..")
-                open_keys.setdefault(claim.words_asked, []).append(f"`{claim.key}` {interval}")
-        told += [f"undecided, asked {asked}: {', '.join(keys)}" for asked, keys in open_keys.items()]
         if told:
-            lines.append(f"- {record.name}: {'; '.join(told)}.")
-    return lines
+            refuted.append(f"- {record.name}: **refuted** {'; '.join(told)}.")
+        keys = [
+            f"`{claim.key}`"
+            for claim in record.claims
+            if claim.verdict == UNDECIDED and not _is_headline(claim, record)
+        ]
+        if keys:
+            undecided.append(f"{record.name} {', '.join(keys)}")
+    return [*refuted, "", f"{OPEN}{'; '.join(undecided)}."] if undecided else refuted
+
+
+def _without_beginning(claim: Claim, before: Claim | None) -> str:
+    """The sentence of a claim; without its words before a colon where the claim before began with the same."""
+    beginning, colon, rest = claim.asked.says.partition(": ")
+    is_same = bool(colon) and before is not None and before.asked.says.startswith(f"{beginning}: ")
+    return rest if is_same else claim.asked.says
 
 
 def draw_figures(records: Iterable[Record], folder: Path = IMAGES) -> list[Path]:

@@ -19,7 +19,7 @@ HISTORY = Path(__file__).parents[1] / "history.jsonl"
 
 @dataclass(frozen=True)
 class Record:
-    """What one part of a proof gave at one state of the code.
+    """The results of one part of a proof at one state of the code.
 
     Attributes
     ----------
@@ -125,7 +125,7 @@ def asked_of(proof: str, part: str) -> dict[str, Asked]:
 
 
 def claims_of(proof: str, part: str, rows: Sequence[Row], look: int = 1) -> tuple[Claim, ...]:
-    """What trials of a part show at its k-th look."""
+    """Judge trials of a part at its k-th look."""
     return decide(parts_of(proof)[part].judge(rows), asked_of(proof, part), look)
 
 

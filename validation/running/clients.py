@@ -23,7 +23,7 @@ PINNED_AT = "2014-07-01"
 
 @dataclass
 class Record:
-    """What clients were told.
+    """The answers to clients.
 
     Attributes
     ----------

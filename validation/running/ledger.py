@@ -30,7 +30,7 @@ SELECT station, at_us, min(known_us) FROM (
 
 @contextmanager
 def open_factory(url: str, **settings: Any) -> Iterator[Factory]:
-    """What makes stores and use cases on an empty database, until the block ends."""
+    """Open stores and use cases on an empty database, until the block ends."""
     factory = Factory(Settings(database_url=url, **{"max_rate": 1e9} | settings))
     upgrade(factory.database)
     try:

@@ -39,7 +39,7 @@ class Server:
 
     @property
     def url(self) -> str:
-        """Its first database."""
+        """The address of the first database."""
         return f"postgresql://lbacal@/postgres?host={self.folder}"
 
     def start(self) -> None:

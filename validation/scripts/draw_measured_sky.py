@@ -45,7 +45,7 @@ Rows = dict[str, np.ndarray]
 
 
 def tabulate_families() -> list[str]:
-    """What each family of experiments says, and what the others say of it, in percent of the brightness of gsm."""
+    """Tabulate each family of experiments, and the prediction by the others, in percent of the brightness of gsm."""
     anchors = read_anchors()
     rows = []
     for line in predict_left_out(anchors, load_sky("gsm")):

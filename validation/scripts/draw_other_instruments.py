@@ -91,16 +91,15 @@ def read_rs509(data: Path) -> tuple[Spectra, Instrument, Floats]:
 
 
 def tabulate_audit(report: AuditReport) -> list[str]:
-    """What is wrong, line by line, and in one row all that one spectrum a path leaves open."""
-    wrong = [(one.verdict, one.check, _shorten(one.sentence)) for one in report.lines if one.verdict != "undecided"]
+    """A line for each that is wrong, and one for all that one spectrum a path leaves open."""
+    wrong = [f"- {one.verdict}: {_shorten(one.sentence)}" for one in report.lines if one.verdict != "undecided"]
     left = ", ".join(one.check for one in report.lines if one.verdict == "undecided")
-    rows = [*wrong, ("undecided", left, "one spectrum a path does not tell; some hours would")]
-    return write_table(["verdict", "check", "what is said"], rows)
+    return [*wrong, f"- undecided: {left}"]
 
 
 def _shorten(sentence: str) -> str:
-    """The sentence without what stands in brackets."""
-    return re.sub(r" \([^)]*\)", "", sentence)
+    """The sentence without what stands in brackets, and without what its level is compared with."""
+    return re.sub(r" \([^)]*\)", "", sentence).removesuffix(" from the others")
 
 
 def read_edges(data: Path) -> dict[str, Floats]:
@@ -108,7 +107,7 @@ def read_edges(data: Path) -> dict[str, Floats]:
 
 
 def expect_edges(mhz: float, lst: Floats) -> dict[tuple[float, float], Floats]:
-    """What our sky gives a short dipole of some height and direction, K, shape (lst,)."""
+    """Temperature of a short dipole of some height and direction under our sky, K, shape (lst,)."""
     sky = load_sky("gsm-wide")
 
     def seen(antenna: AntennaModel, arm: float) -> Floats:

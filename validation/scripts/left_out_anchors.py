@@ -14,7 +14,7 @@ from lbacal_core.sky.sky_terms import Anchor, combine_anchors, stack_anchors
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A family, and what the others say of it: ln T over that of the sky model, weighted mean of its frequencies."""
+    """A family of experiments and its prediction by the others: ln T over the sky model's, mean of its frequencies."""
 
     family: str
     measured: float

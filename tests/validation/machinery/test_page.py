@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -43,17 +44,24 @@ def test_the_page_has_about_25_rows() -> None:
 def test_a_headline_is_a_row_and_what_is_refuted_is_said_below_even_of_details() -> None:
     refuted = claim("station_mean", "It is named", 0.3, (0.2, 0.4))
     page = page_of(record(SHOWN, refuted, claim("antenna_mean", "A detail", 0.9, (0.8, 0.95))))
-    row = "| It is found | >= 50 % | 99 % (94.6 to 99.8) | 100 | shown | `twin nuisances` | 2 | 1234567 | no |"
+    row = "| It is found | >= 50 % | 99 % (94.6 to 99.8) | 100 (2) | shown | `twin nuisances`, old |"
     assert row in page
     assert "| A detail |" not in page
     assert "- twin-nuisances: **refuted** It is named (asked >= 50 %" in page.partition("## What is not shown")[2]
     assert "It is found" not in page.partition("## What is not shown")[2]
 
 
+def test_what_refuted_claims_of_a_part_begin_with_alike_is_said_once() -> None:
+    names = ("A world: one", "A world: two", "Another: three")
+    page = page_of(record(*(claim(f"mean_{k}", says, 0.3, (0.2, 0.4)) for k, says in enumerate(names))))
+    said = re.findall(r"(?:refuted\*\*|;) ([^(;]+) \(asked", page)
+    assert said == ["A world: one", "two", "Another: three"]
+
+
 def test_an_undecided_detail_is_no_row_and_is_not_hidden() -> None:
     rows, _, below = page_of(record(claim("station_mean", "A detail", 0.5, (0.4, 0.6)))).partition("## What is not")
     assert "A detail" not in rows
-    assert "- twin-nuisances: undecided, asked >= 50 %: `station_mean` 50 %" in below
+    assert "interval: twin-nuisances `station_mean`." in below
     assert "It is found" not in page_of(record(SHOWN, part="clean")), "a part may have no row at all"
 
 

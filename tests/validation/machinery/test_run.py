@@ -99,20 +99,22 @@ def test_a_stopped_run_goes_on_and_its_seeds_never_come_again(checkout: Path):
     with pytest.raises(KeyboardInterrupt):
         run_and_record("some", Part("parity", stop, _judge, 6, is_parallel=False), Order())
     page = write_page([], [], read_ledger())
-    assert f"- some-parity: seeds {DEBUG_BELOW} to {DEBUG_BELOW + 5} (2" in page
+    assert f"some-parity {DEBUG_BELOW}-{DEBUG_BELOW + 5}." in page
     again = Part("parity", lambda seed: tried.append(seed) or _try(seed), _judge, 6, is_parallel=False)
     record = run_and_record("some", again, Order())
     assert tried == [DEBUG_BELOW + k for k in (3, 4, 5)]
     assert record.blocks == (Block(DEBUG_BELOW, 6),)
     assert len(read_ledger()) == 1
-    assert "- some-parity" not in write_page(read_records(), [], read_ledger())
+    assert f"some-parity {DEBUG_BELOW}" not in write_page(read_records(), [], read_ledger())
 
     with pytest.raises(KeyboardInterrupt):
         run_and_record("some", Part("parity", lambda _: stop(DEBUG_BELOW + 3), _judge, 6, is_parallel=False), Order())
     change_code(checkout, 2)
     record = run_and_record("some", PART, Order())
     assert record.blocks[-1] == Block(DEBUG_BELOW + 12, 6), "of other code another block is entered"
-    assert f"seeds {DEBUG_BELOW + 6} to {DEBUG_BELOW + 11}" in write_page(read_records(), read_history(), read_ledger())
+    assert f"some-parity {DEBUG_BELOW + 6}-{DEBUG_BELOW + 11}." in write_page(
+        read_records(), read_history(), read_ledger()
+    )
 
 
 def test_blocks_are_pooled_while_the_frozen_data_sets_say_the_same(checkout: Path, monkeypatch: pytest.MonkeyPatch):
