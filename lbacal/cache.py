@@ -102,7 +102,7 @@ class Snapshot:
 
     @property
     def part(self) -> str:
-        """What is held, in words; empty for everything."""
+        """The part in words; empty for everything."""
         ends = [f"{word} {end[:19]}Z" for word, end in (("from", self.since), ("until", self.until)) if end is not None]
         return " ".join([", ".join(self.only), *ends]).strip()
 

@@ -44,7 +44,7 @@ def small_world(seed: int) -> DataSet:
 
 
 def ask_both(data: DataSet, fault: Fault | None, axes: str = "") -> Row:
-    """What both judges say."""
+    """Ask both judges."""
     row: Row = {}
     for judge in JUDGES:
         answer = data.ask([] if fault is None else [fault], judge=judge)

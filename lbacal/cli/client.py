@@ -94,8 +94,7 @@ def sync(
 
     Example: LBACAL_CACHE=~/.cache/lbacal lbacal sync paper-2026
 
-    Run again, it looks at every file and fetches what is missing or damaged. What the cache then holds of a tag is what
-    was asked for last; other questions about the tag go to the server.
+    Run again, it fetches what is missing or damaged. With --station, --since or --until it holds that part alone.
     """
     with Client() as client, _progress("answers") as on_step:
         snapshot, fetched = client.sync(tag, on_step, stations=station or (), since=since, until=until)
