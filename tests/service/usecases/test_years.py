@@ -87,7 +87,6 @@ class Answers:
         return [self.c(at, path)[2] for at in (BEFORE, JUST, AFTER, NEXT) for path in (STEPPED, STEADY)]
 
 
-@pytest.mark.parametrize("database_url", ["sqlite", "postgresql"], indirect=True)
 def test_c_is_right_on_both_sides_of_a_step_after_every_night_and_decision(
     make_service: Callable[..., Factory], truth: Campaign
 ) -> None:
@@ -152,6 +151,7 @@ def test_c_is_right_on_both_sides_of_a_step_after_every_night_and_decision(
         told.require_right()
 
 
+@pytest.mark.parametrize("database_url", ["sqlite", "postgresql"], indirect=True)
 def test_what_a_whole_station_did_at_a_date_cuts_its_paths_and_its_mean(
     make_service: Callable[..., Factory], superterp: Instrument, sky_power_file: Path
 ) -> None:
