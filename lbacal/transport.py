@@ -13,14 +13,16 @@ import uuid
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import chain
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import httpx2
 import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.errors import LbacalError
 from lbacal_core.spectra.spectra import Spectra, write_spectra
+
+if TYPE_CHECKING:
+    import httpx2
 
 TIMEOUT_S = 60.0
 QUICK_S = 2.0
@@ -60,6 +62,8 @@ class Transport:
     _http: httpx2.Client = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        import httpx2  # a sixth of a second that whoever asks no server does not need
+
         headers = {} if self.api_key is None else {"Authorization": f"Bearer {self.api_key}"}
         self._http = httpx2.Client(base_url=self.url, headers=headers, timeout=TIMEOUT_S)
 
@@ -77,6 +81,8 @@ class Transport:
         With `is_quick` it is known after `QUICK_S` that nobody is there, and after `answer_s` that a server which took
         the question is stuck.
         """
+        import httpx2
+
         given = {name: value for name, value in (params or {}).items() if value is not None}
         headers = {} if method == "GET" else {"Idempotency-Key": uuid.uuid4().hex}
         if file is not None:

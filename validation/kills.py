@@ -15,7 +15,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +45,7 @@ from validation.running.postgres import run_server
 from validation.running.processes import Service, get, is_ready, run_command, run_service, wait_until, write_coarse_sky
 
 KILLS = 40
+CAMPAIGN = TwinSettings(stations=("CS002",), antennas=2, years=1.99, events_per_year=100)
 DONE = "SELECT job FROM job_part WHERE state = 'done' OR substr(error, 1, 9) = 'no usable'"
 UNDONE = (
     "SELECT kind, job_part.request, state, attempts, error FROM job_part JOIN job ON job.id = job_part.job "
@@ -76,9 +77,7 @@ def kill_and_compare(kind: str, kills: int, seed: int) -> Row:
     configure_logs("warning")
     with tempfile.TemporaryDirectory(prefix="lbacal-kills-") as name, open_database(kind, Path(name)) as database:
         folder = Path(name)
-        settings = TwinSettings(stations=("CS002",), antennas=2, years=1.99, events_per_year=100)
-        spectra = simulate(folder, settings, np.random.default_rng([20, seed]))
-        calm = _fit_calmly(folder, spectra)
+        spectra, calm = simulate(folder, CAMPAIGN, np.random.default_rng([20, seed])), _fit_calmly(seed)
         record, in_effect, tags, victims = _run(folder, database, list(bodies_of_events(spectra)), kills, seed)
         left = _read_database(database.url)
     checks = {
@@ -147,8 +146,14 @@ def simulate(folder: Path, settings: TwinSettings, rng: np.random.Generator, fau
     return simulate_campaign(settings, instrument, write_coarse_sky(folder / SKY), rng, faults).spectra
 
 
-def _fit_calmly(folder: Path, spectra: Spectra) -> InEffect:
-    """The calibrations in effect after one undisturbed night in one process."""
+@lru_cache(maxsize=1)
+def _fit_calmly(seed: int) -> InEffect:
+    """The calibrations in effect after one undisturbed night in one process: one night for either kind of database."""
+    with tempfile.TemporaryDirectory(prefix="lbacal-calm-") as name:
+        return _fit_calmly_in(Path(name), simulate(Path(name), CAMPAIGN, np.random.default_rng([20, seed])))
+
+
+def _fit_calmly_in(folder: Path, spectra: Spectra) -> InEffect:
     found: InEffect = {}
     with open_factory(str(folder / "calm.sqlite"), **SETTINGS, sky_power=folder / SKY) as factory:
         with factory.database.write() as stores:

@@ -140,13 +140,12 @@ class InvertedV:
 
     def jones(self, frequency_mhz: Floats, zenith: Floats, azimuth_from_arm: Floats) -> tuple[Complexes, Complexes]:
         """Effective length along theta and phi for a current of 1 at the feed, m."""
-        zenith, azimuth = np.broadcast_arrays(np.asarray(zenith, dtype=float), azimuth_from_arm)
+        # neither is spread over the grid of both: the costly exponentials know no azimuth
+        zenith, azimuth = np.asarray(zenith, dtype=float), np.asarray(azimuth_from_arm, dtype=float)
         cosine, sine = np.cos(zenith), np.sin(zenith)
         wavenumber = (2e6 * np.pi / SPEED_OF_LIGHT * frequency_mhz).reshape((-1,) + (1,) * zenith.ndim)
         across, along = sine * np.cos(azimuth), np.cos(azimuth)
-        # Horizontal (along the arms) and vertical moment of the current as the direct and the reflected wave see it.
-        direct = self._moments(wavenumber, across, cosine)
-        reflected = self._moments(wavenumber, across, -cosine)
+        direct, reflected = self._moments(wavenumber, across, cosine)
         vertical, horizontal = self._fresnel(frequency_mhz, zenith)
         theta = along * cosine * direct[0] - sine * direct[1]
         theta = theta - vertical * (along * cosine * reflected[0] + sine * reflected[1])
@@ -154,20 +153,26 @@ class InvertedV:
         visible = zenith < np.pi / 2
         return theta * visible, phi * visible
 
-    def _moments(self, wavenumber: Floats, across: Floats, up: Floats) -> tuple[Complexes, Complexes]:
-        """Integrals of the current along both arms with the phase of a wave, shape (freq, ...), m."""
+    def _moments(self, wavenumber: Floats, across: Floats, up: Floats) -> Complexes:
+        """Integrals of the current along both arms with the phase of a wave, m.
+
+        Shape (wave, moment, freq, ...): the direct and the reflected wave, the horizontal moment along the arms and the
+        vertical one.
+        """
         nodes, weights = np.polynomial.legendre.leggauss(SEGMENTS)
         droop = np.radians(self.droop_deg)
-        horizontal, vertical = 0.0, 0.0
+        moments = np.zeros((2, 2, *np.broadcast_shapes(wavenumber.shape, across.shape)), dtype=complex)
         for position, weight in zip((nodes + 1) / 2 * self.arm_m, weights / 2 * self.arm_m, strict=True):
             current = weight * np.sin(wavenumber * (self.arm_m - position)) / np.sin(wavenumber * self.arm_m)
             height = self.feed_m - position * np.sin(droop)
-            carrier = current * np.exp(1j * wavenumber * height * up)
             reach = wavenumber * position * np.cos(droop) * across
             # The current flows up one arm and down the other: horizontal parts add, vertical parts oppose each other.
-            horizontal = horizontal + 2 * np.cos(droop) * np.cos(reach) * carrier
-            vertical = vertical - 2j * np.sin(droop) * np.sin(reach) * carrier
-        return np.asarray(horizontal), np.asarray(vertical)
+            horizontal, vertical = 2 * np.cos(droop) * np.cos(reach), -2j * np.sin(droop) * np.sin(reach)
+            carrier = current * np.exp(1j * wavenumber * height * up)
+            for of_wave, phase in zip(moments, (carrier, carrier.conj()), strict=True):
+                of_wave[0] += horizontal * phase
+                of_wave[1] += vertical * phase
+        return moments
 
     def _fresnel(self, frequency_mhz: Floats, zenith: Floats) -> tuple[Complexes, Complexes]:
         """Reflection coefficients for the field in the plane of incidence and across it, shape (freq, ...)."""

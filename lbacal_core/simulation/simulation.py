@@ -118,12 +118,20 @@ class Simulation:
     @cached_property
     def differences(self) -> ModelDifferences | None:
         """Changes of P_sky by other models of sky and antenna; None where the sky power is taken as exact."""
-        return compute_model_differences(self.instrument, self.models) if self.is_own_sky else None
+        if not self.is_own_sky:
+            return None
+        found: ModelDifferences
+        # in what copies with other causes share: a worker makes one for every fit
+        found = self.made.get(("differences",), lambda: compute_model_differences(self.instrument, self.models))
+        return found
 
     @cached_property
     def prior(self) -> SkyPrior | None:
         """By how much P_sky may differ from the one here before data are a misfit; None where it may not."""
-        return sky_prior(self.instrument, self.models) if self.is_own_sky else None
+        if not self.is_own_sky:
+            return None
+        found: SkyPrior = self.made.get(("prior",), lambda: sky_prior(self.instrument, self.models))
+        return found
 
     @property
     def digest(self) -> str:

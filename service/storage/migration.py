@@ -1,4 +1,7 @@
-"""The schema's version: bring it up to date, or report that it is not."""
+"""The schema's version: bring it up to date, or report that it is not.
+
+Alembic, whose import takes a tenth of the start of a process, is loaded where a schema is changed or compared.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +10,9 @@ from contextlib import closing
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from alembic import command
-from alembic.autogenerate import compare_metadata
-from alembic.config import Config
-from alembic.runtime.migration import MigrationContext
-from alembic.script import ScriptDirectory
-from sqlalchemy import make_url
+from sqlalchemy import inspect, make_url, text
 
 from lbacal.files import written_beside
 from lbacal_core.errors import BadInputError
@@ -22,9 +20,14 @@ from service.errors import UnavailableError
 from service.schema.tables import metadata
 from service.storage.database import Database, explaining_failures
 
+if TYPE_CHECKING:
+    from alembic.config import Config
+
 
 def make_config(database: Database) -> Config:
     """Alembic's configuration, without a file."""
+    from alembic.config import Config
+
     config = Config()
     config.set_main_option("script_location", str(files("migrations")))
     config.attributes["engine"] = database.engine
@@ -33,7 +36,12 @@ def make_config(database: Database) -> Config:
 
 def upgrade(database: Database) -> None:
     """Bring the schema to what this code needs."""
-    _require_known(find_revision(database))
+    found = find_revision(database)
+    if found == _known()[-1]:
+        return
+    _require_known(found)
+    from alembic import command
+
     config = make_config(database)
     config.attributes["may_make"] = True
     with explaining_failures():
@@ -52,6 +60,9 @@ def require_current(database: Database) -> None:
 
 def require_complete(database: Database) -> None:
     """Refuse a schema of the right number whose tables are not those that this code states."""
+    from alembic.autogenerate import compare_metadata
+    from alembic.runtime.migration import MigrationContext
+
     with database.connect() as connection:
         context = MigrationContext.configure(connection, opts={"compare_type": True, "target_metadata": metadata})
         found = [_name_difference(one) for one in compare_metadata(context, metadata)]
@@ -79,16 +90,17 @@ def _require_known(revision: str | None) -> None:
 
 @cache
 def _known() -> tuple[str, ...]:
-    """The revisions that this code knows, oldest first."""
-    config = Config()
-    config.set_main_option("script_location", str(files("migrations")))
-    return tuple(reversed([script.revision for script in ScriptDirectory.from_config(config).walk_revisions()]))
+    """The revisions that this code knows, oldest first: the numbers with which their files begin."""
+    names = (one.name for one in files("migrations").joinpath("versions").iterdir())
+    return tuple(sorted(name.partition("_")[0] for name in names if name.endswith(".py")))
 
 
 def find_revision(database: Database) -> str | None:
     """The revision of the schema; None where there is none."""
     with database.connect() as connection:
-        return MigrationContext.configure(connection).get_current_revision()
+        if not inspect(connection).has_table("alembic_version"):
+            return None
+        return connection.execute(text("SELECT version_num FROM alembic_version")).scalar()
 
 
 # A copy of an SQLite database that others may write to meanwhile.

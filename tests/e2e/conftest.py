@@ -23,7 +23,7 @@ from lbacal_twin.faults.fault import Fault, Where
 from lbacal_twin.faults.hardware import GainStep
 from lbacal_twin.faults.sky import LstOffset
 from lbacal_twin.settings import TwinSettings
-from validation.running.processes import Process, find_free_port, get, is_ready, running, wait_until
+from validation.running.processes import PATIENCE_S, Process, find_free_port, get, is_ready, running, wait_until
 
 QUIET = [
     "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
@@ -117,7 +117,8 @@ def serve_copy(state: Path, factory: pytest.TempPathFactory) -> Iterator[Service
 
 def _are_all_there(url: str) -> bool:
     """Whether API, scheduler and worker live."""
-    return {one["kind"] for one in get(f"{url}/v1/status").json()["processes"]} == {"api", "scheduler", "worker"}
+    processes = get(f"{url}/v1/status", timeout=PATIENCE_S).json()["processes"]
+    return {one["kind"] for one in processes} == {"api", "scheduler", "worker"}
 
 
 def make_state(folder: Path, settings: TwinSettings, last: Collection[str], faults: Sequence[Fault]) -> None:
@@ -142,7 +143,7 @@ def serve(folder: Path) -> Iterator[Service]:
     port = find_free_port()
     url = f"http://127.0.0.1:{port}"
     environment = os.environ | {
-        "LBACAL_DATABASE_URL": str(folder / "lbacal.sqlite"), "LBACAL_URL": url, "LBACAL_POLL_S": "0.1",
+        "LBACAL_DATABASE_URL": str(folder / "lbacal.sqlite"), "LBACAL_URL": url, "LBACAL_POLL_S": "0.5",
         "LBACAL_GATE_ERROR": "0.3", "LBACAL_GATE_CHANGE": "0.5", "COLUMNS": "200",
         "LBACAL_CUT_WINDOWS": "false",  # a step waits for somebody to put it in force
     }  # fmt: skip
@@ -156,7 +157,7 @@ def serve(folder: Path) -> Iterator[Service]:
 
 
 def _is_idle(url: str, last: Collection[str]) -> bool:
-    jobs = get(f"{url}/v1/jobs").json()["jobs"]
+    jobs = get(f"{url}/v1/jobs", timeout=PATIENCE_S).json()["jobs"]
     are_last_there = set(last) <= {job["kind"] for job in jobs}
     return are_last_there and all(job["state"] in ("done", "failed") for job in jobs)
 

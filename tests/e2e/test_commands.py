@@ -4,6 +4,7 @@ import json
 import os
 import re
 import shlex
+import sys
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import pytest
 from astropy.time import Time
 
 import lbacal
+from lbacal.cli.main import main
 from lbacal_core.spectra.spectra import read_spectra
 
 YEAR = ("--from", "2003-01-01", "--to", "2004-01-01", "--reason", "test")
@@ -54,18 +56,30 @@ def test_effective_prints_the_calibration_on_a_date(service: Any) -> None:
     ],
 )
 def test_a_failure_is_one_sentence_and_an_exit_code(
-    service: Any, arguments: tuple[str, ...], code: int, sentence: str
+    service: Any,
+    arguments: tuple[str, ...],
+    code: int,
+    sentence: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    said = service.run(*arguments)
-    assert (said.returncode, said.stdout) == (code, "")
-    assert sentence in said.stderr
-    assert len(said.stderr.splitlines()) == 1
+    """In this process: to start one takes a second. Those of the next test are processes as a user has them."""
+    for name, value in service.environment.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr(sys, "argv", ["lbacal", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    said = capsys.readouterr()
+    assert (ended.value.code, said.out) == (code, "")
+    assert sentence in said.err
+    assert len(said.err.splitlines()) == 1
 
 
 def test_a_wrong_key_and_a_wrong_setting_are_named(service: Any) -> None:
     asked = ("refit", "--scope", "array", "--since", "2014-01-01", "--until", "2015-01-01", "--reason", "x")
     refused = service.run(*asked, LBACAL_API_KEY="no")
-    assert (refused.returncode, refused.stderr) == (1, "lbacal: the key is unknown, expired or revoked\n")
+    assert (refused.returncode, refused.stdout) == (1, "")
+    assert refused.stderr == "lbacal: the key is unknown, expired or revoked\n"
     wrong = service.run("worker", LBACAL_LEASE_S="soon")
     assert wrong.returncode == 2
     assert wrong.stderr.startswith("lbacal: LBACAL_LEASE_S: expected ")

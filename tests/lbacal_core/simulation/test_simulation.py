@@ -76,6 +76,16 @@ def test_other_causes_keep_what_was_computed_and_have_another_digest(simulation)
     assert replace(simulation).digest == simulation.digest
 
 
+def test_every_fit_of_a_worker_computed_the_freedom_of_its_own_sky_again():
+    """A fit asks a copy with the causes of its station, and what a copy computed was lost with it: a second a fit."""
+    own = Simulation.load("lofar-superterp")
+    first, second = own.with_causes(Model((WARM,))), own.with_causes(Model())
+    assert first.prior is not None
+    assert second.prior is first.prior
+    assert second.differences is first.differences
+    assert replace(own).prior is not first.prior
+
+
 def test_another_instrument_or_sky_does_not_take_over_what_was_computed(simulation):
     """Fits of single paths are kept by their spectra alone: a replaced sky would have had those of the first."""
     simulation.made.get(("single paths", "spectra", 1.0), lambda: "of the first")

@@ -15,6 +15,7 @@ from pathlib import Path
 import psycopg
 import pytest
 from alembic import command
+from alembic.script import ScriptDirectory
 from fastapi.testclient import TestClient
 from sqlalchemy import inspect, text
 from sqlalchemy.exc import SQLAlchemyError
@@ -28,7 +29,15 @@ from service.schema.tables import metadata
 from service.storage import database as module
 from service.storage.changes import Change, Evidence
 from service.storage.database import Database
-from service.storage.migration import copy_sqlite, make_config, require_complete, require_current, upgrade
+from service.storage.migration import (
+    _known,
+    copy_sqlite,
+    find_revision,
+    make_config,
+    require_complete,
+    require_current,
+    upgrade,
+)
 from service.storage.processes import WORKER
 from service.storage.versions import Version
 
@@ -314,6 +323,17 @@ def test_a_schema_that_this_version_does_not_know_is_refused(factory: Factory, r
     for ask in (upgrade, require_current):
         with pytest.raises(UnavailableError, match=cure):
             ask(factory.database)
+
+
+def test_files_of_migrations_begin_with_their_revisions_and_make_one_row(tmp_path: Path) -> None:
+    """Every process reads the newest from their names, without loading Alembic."""
+    database = Database(f"sqlite:///{tmp_path / 'empty.sqlite'}")
+    scripts = ScriptDirectory.from_config(make_config(database)).walk_revisions()
+    assert list(_known()) == [one.revision for one in scripts][::-1]
+    assert find_revision(database) is None
+    upgrade(database)
+    assert find_revision(database) == _known()[-1]
+    database.close()
 
 
 TABLES = ("event", "spectrum", "calibration", "promotion", "api_key")
