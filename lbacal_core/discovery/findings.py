@@ -134,13 +134,15 @@ class StationSearch:
         """The model with a sentence, where it is likelier than every cause: for the station, or where the best acts."""
         policy, linear, whole = self.policy, before.linear, self.targets[-1]
         best = max(significant, key=_gain_beyond_chance, default=None)
-        asked = 2.0 * CERTAIN if best is None else max(_gain_beyond_chance(best), 0.0) + 2.0 * policy.likelier
+        asked = 2.0 * max(CERTAIN, -float(np.log(self.alpha)))
+        if best is not None:
+            asked = max(asked, _gain_beyond_chance(best) + 2.0 * policy.likelier)
         targets = [whole] if best is None or best.target.scope == STATION else [whole, best.target]
         likely = [one for target in targets for one in likeliest_sentences(linear, target)]
         if best is not None:
             likely = [refine_sentence(linear, one, policy) for one in likely]
         one = max(likely, key=lambda one: one.gain)
-        if one.gain < max(asked, 2.0 * CERTAIN):
+        if one.gain < asked:
             return None
         one = refine_sentence(linear, max(score_gated(linear, [one.target], one), key=lambda one: one.gain), policy)
         self.progress(f"{self.name}: fitting everything again with a sentence")
