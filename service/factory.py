@@ -148,7 +148,7 @@ class Factory:
         """What the simulation gets wrong in stored spectra."""
         from service.usecases.investigations import Investigations
 
-        return Investigations(self.database, self.simulation, self.fits, self._limits, self.clock)
+        return Investigations(self.database, self.simulation, self.fits, self._limits, self.clock, self.settings.judge)
 
     @cached_property
     def drift(self) -> Drift:

@@ -30,7 +30,8 @@ ONE_FROM, UNLISTED_FROM, WAVES_FROM, NOTHING_FROM = 1_100_000_000, 1_200_000_000
 """Seeds of data sets of these parts; those of others begin elsewhere."""
 LARGE = 25.0
 SNRS = (NAMING_SNR, LARGE)
-TRIES = 10
+TRIES = 2
+"""Draws of an effect until one can have the size: those of the sky by direction are dear."""
 ALONG = ("lst", "utc", "temperature")
 """What gains follow in `waves`, and the limits of their size."""
 LEAST, MOST = 0.01, 0.06

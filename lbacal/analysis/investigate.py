@@ -18,6 +18,7 @@ from lbacal.analysis.result import Result
 from lbacal.chain import convert_number
 from lbacal.pages.curve import draw_change, draw_curve, draw_curve_page, draw_ranking
 from lbacal.pages.investigation import draw_page, plot_finding, plot_scores
+from lbacal.settings import judge
 from lbacal.with_model import Extended, read_model
 from lbacal_core.audit.audit import audit_quickly
 from lbacal_core.data.lofar import SUPERTERP
@@ -136,7 +137,7 @@ def investigate(
     measured = spectra_of(data)
     audited = audit_quickly(measured, simulation.instrument)
     audited.require_power(measured.origin)
-    content, stations = investigate_spectra(measured, simulation.smeared(measured), progress=tell)
+    content, stations = investigate_spectra(measured, simulation.smeared(measured), progress=tell, judge=judge())
     content["provenance"]["notes"]["audit"] = audited.sentence
     content = add_left_open(content, stations)
 

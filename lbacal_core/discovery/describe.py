@@ -50,6 +50,8 @@ LIKELY, KEPT, FITTED = 12, 6, 4
 """Courses that are tried with all laws, sentences from which products grow, and sentences fitted with the chain."""
 RIVAL = 3.0
 """ln of the odds below which two sentences are rivals: 1 to 20."""
+FITTED_WITHIN = 10.0
+"""ln of the odds below which, before the fit with the chain, a sentence may still become a rival."""
 FEWEST_ALIKE = 4
 """Antennas from which one asks whether they show a sentence by an amount that grows with their number."""
 
@@ -134,7 +136,8 @@ def describe_structure(
     shown = _targets_of(structure, targets)
     if not shown:
         return Description()
-    fitted = [_fit(model, one) for one in _search(model.linear, shown, policy)]
+    likely = _search(model.linear, shown, policy)
+    fitted = [_fit(model, one) for one in likely if one.gain > likely[0].gain - 2.0 * FITTED_WITHIN]
     order = sorted((one for one in fitted if one is not None), key=lambda one: -one[0].log_odds)
     said = [one for one, _ in order if one.log_odds > CERTAIN and one.held_out_gain > 0.0]
     if not said:

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import Any
 
 from lbacal_core.calibration.chain_form import EXCLUDED, OPEN
-
-Judge = Literal["search", "compete"]
-"""How what a finding says is judged."""
+from lbacal_core.discovery.judges import DEFAULT_JUDGE, Judge
 
 
 @dataclass(frozen=True)
@@ -43,8 +41,7 @@ class Policy:
         Factor on the probability of a false alarm of causes beside a structure that was taken out: what its description
         leaves of it is no noise.
     judge
-        ``search`` names the causes that chance does not explain; ``compete`` asks of each whether a sentence
-        (`causes.grammar`) that no cause says is likelier.
+        Whether a cause is held against the sentences (`causes.grammar`) that none says.
     likelier
         ln of the odds by which a sentence must be likelier than the likeliest cause: 20 to 1.
     hidden_share
@@ -66,7 +63,7 @@ class Policy:
     stands_alpha: float = 0.001
     beside_share: float = 0.01
     hidden_share: float = 0.03
-    judge: Judge = "search"
+    judge: Judge = DEFAULT_JUDGE
     likelier: float = 3.0
 
     @property

@@ -21,11 +21,12 @@ from lbacal_core.discovery.antennas import AntennaScore
 from lbacal_core.discovery.describe import Described, Description
 from lbacal_core.discovery.findings import Finding, change_of_c
 from lbacal_core.discovery.hypothesis import Target, sigma_of
+from lbacal_core.discovery.judges import DEFAULT_JUDGE, Judge
 from lbacal_core.discovery.pictures import picture_antenna, picture_finding, picture_record, picture_station
-from lbacal_core.discovery.policy import Judge, Policy
+from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.residual_structure import ResidualStructure
 from lbacal_core.discovery.scan import Score
-from lbacal_core.discovery.search import StationReport, search_station
+from lbacal_core.discovery.search import StationReport, put_into_words, search_station
 from lbacal_core.discovery.station import gather_stations, model_modes
 from lbacal_core.grids import Floats, require_same_grid
 from lbacal_core.instrument.chain import BEHIND, PUBLISHED
@@ -449,7 +450,7 @@ def investigate(
     *,
     seed: int = 0,
     progress: Callable[[str], None] = lambda _: None,
-    judge: Judge = Policy.judge,
+    judge: Judge = DEFAULT_JUDGE,
 ) -> tuple[dict[str, Any], list[StationReport]]:
     """Find what the simulation gets wrong in the spectra of every station.
 
@@ -495,7 +496,9 @@ def investigate(
                 progress(f"{station.name}: asking whether its record is wrong")
                 own = spectra.select(np.flatnonzero(spectra.station == station.name))
                 report = _search_put_right(own, simulation, search) or report
-            reports.append(report)
+            if report.structure is not None:
+                progress(f"{station.name}: describing structure that no cause explains")
+            reports.append(put_into_words(report, seed))
     provenance = Provenance(
         inputs={
             "spectra": spectra.digest(),

@@ -157,10 +157,6 @@ def search_station(
         kept = {(f.hypothesis.cause.identifier, f.hypothesis.target.label) for f in findings}
         named = [(f, (f.hypothesis.cause.identifier, f.hypothesis.target.label)) for f in grown.findings]
         similar = [f for f, name in named if name not in kept]
-    description = Description()
-    if structure is not None:
-        progress(f"{station.name}: describing that structure in words")
-        description = describe_structure(_with(first, findings), structure, targets, policy, seed)
     standing = _standing(first, last, findings)
     antenna_scores = compare_antennas(station, standing.baseline, targets, policy, seed, standing.hypotheses)
     antenna_scores += compare_cable_names(standing.baseline, standing.linear, targets)
@@ -181,9 +177,16 @@ def search_station(
         policy=policy,
         stations=stations,
         adopted=adopted.sizes,
-        description=description,
         catalogue=catalogue,
     )
+
+
+def put_into_words(report: StationReport, seed: int = 0) -> StationReport:
+    """The report with its residual structure described, which costs as much as all else."""
+    if report.structure is None:
+        return report
+    left, targets = _with(report.first, report.findings), list_targets(report.station)
+    return replace(report, description=describe_structure(left, report.structure, targets, report.policy, seed))
 
 
 def _name_structure(

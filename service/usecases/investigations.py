@@ -14,6 +14,7 @@ from lbacal_core.calibration.singles import MIN_EVENTS
 from lbacal_core.calibration.windows import leave_out_changed
 from lbacal_core.causes.model import Model
 from lbacal_core.curves.validity import Instant, Scope
+from lbacal_core.discovery.judges import DEFAULT_JUDGE, Judge
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.provenance import hash_content
 from lbacal_core.simulation.simulation import Simulation
@@ -43,6 +44,7 @@ class Investigations:
     fits: Fits
     limits: Limits
     clock: Callable[[], Instant]
+    judge: Judge = DEFAULT_JUDGE
 
     def request(self, body: InvestigationBody, by: str) -> int:
         """Enqueue one part a station and calendar year that hold spectra in the window."""
@@ -68,7 +70,7 @@ class Investigations:
 
         A station's year with too few events for any fit is not yet due.
         """
-        search = [self.simulation.is_own_sky, Policy().as_dict(), *self.simulation.own_causes.values()]
+        search = [self.simulation.is_own_sky, self._policy.as_dict(), *self.simulation.own_causes.values()]
         for since, until in find_years(stores):
             for station, content in stores.spectra.stations_with(since, until, MIN_EVENTS).items():
                 yield describe_part(station, since, until), [content, search]
@@ -101,7 +103,7 @@ class Investigations:
             "spectra": spectra.digest(),
             "environment": hash_covariates(spectra),
             **self.fits.name_simulation(request["since"], request["until"], Scope(request["station"])),
-            "policy": Policy().as_dict(),
+            "policy": self._policy.as_dict(),
             **self.simulation.own_causes,
             **({} if model.is_plain else {"model": model.id}),
         }
@@ -110,7 +112,12 @@ class Investigations:
         from lbacal_core.discovery.left_open import add_left_open
         from lbacal_core.discovery.report import investigate  # a second to import, and only workers need it
 
-        return add_left_open(*investigate(spectra, self.simulation.with_causes(model).smeared(spectra)))
+        known = self.simulation.with_causes(model).smeared(spectra)
+        return add_left_open(*investigate(spectra, known, judge=self.judge))
+
+    @property
+    def _policy(self) -> Policy:
+        return Policy(judge=self.judge)
 
     def get(self, name: str) -> Investigation:
         """One investigation, by its id or by as many of its first digits as no other begins with."""

@@ -12,7 +12,7 @@ from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.discovery.adopted import find_members
 from lbacal_core.discovery.curve_search import describe_curve, investigate_curve
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
-from lbacal_core.discovery.policy import Judge, Policy
+from lbacal_core.discovery.judges import DEFAULT_JUDGE, Judge
 from lbacal_core.discovery.refit import power_ratio
 from lbacal_core.discovery.report import investigate
 from lbacal_core.discovery.search import StationReport
@@ -27,7 +27,7 @@ from lbacal_core.sky.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra
 
 Judged: TypeAlias = Judge
-SEARCH: Judged = Policy.judge
+SEARCH: Judged = DEFAULT_JUDGE
 """The judge that is asked unless another is named."""
 
 

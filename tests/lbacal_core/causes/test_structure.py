@@ -11,7 +11,7 @@ from lbacal_core.causes.model import Model
 from lbacal_core.discovery.adopted import fit_adopted, measure_gains
 from lbacal_core.discovery.refit import fit_chain
 from lbacal_core.discovery.residual_structure import find_structure
-from lbacal_core.discovery.search import search_station
+from lbacal_core.discovery.search import put_into_words, search_station
 from lbacal_core.discovery.station import gather_stations
 from lbacal_core.errors import BadInputError
 from lbacal_twin.campaign import simulate_campaign
@@ -37,7 +37,7 @@ def station(years, simulation):
 
 @pytest.fixture(scope="module")
 def report(station):
-    return json.loads(json.dumps(report_of(search_station(station))))
+    return json.loads(json.dumps(report_of(put_into_words(search_station(station)))))
 
 
 def test_the_term_of_a_report_is_the_structure_that_was_found(station):

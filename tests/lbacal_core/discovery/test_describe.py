@@ -6,16 +6,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.grammar import parts_of
 from lbacal_core.causes.model import Model
 from lbacal_core.causes.own import FORMAT, NamedSentence, catalogue_with
 from lbacal_core.discovery.describe import CERTAIN, Description, describe_structure, notice
 from lbacal_core.discovery.hypothesis import list_targets
+from lbacal_core.discovery.judges import JUDGES
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.refit import fit_chain
 from lbacal_core.discovery.report import investigate
 from lbacal_core.discovery.residual_structure import find_structure, strongest_structure
 from lbacal_core.discovery.station import gather_stations
+from lbacal_twin.faults.sky import IonosphericAbsorption
 from lbacal_twin.faults.uncatalogued import AuroralAbsorption, FieldGradient, MainsHum, WorkingWeek
 
 
@@ -103,6 +106,21 @@ def test_a_cause_of_a_column_waits_for_data_that_have_it(station):
     assert windy.templates(station.conditions) == []
     speed = np.linspace(0.0, 20.0, station.conditions.time_unix.size)
     assert len(windy.templates(station.conditions.with_covariates(wind_m_s=speed))) == 1
+
+
+@pytest.mark.long
+def test_a_cause_that_a_sentence_explains_better_is_not_named_by_compete(spoil, simulation):
+    """A catalogue without absorption in the ionosphere has neighbours of it, and no sentence is one of them."""
+    known = replace(simulation, catalogue=[one for one in CAUSES if one.identifier != "ionospheric_absorption"])
+    spectra, named = spoil(IonosphericAbsorption(size=0.04)), dict[str, list[str]]()
+    for judge in JUDGES:
+        report, _ = investigate(spectra, known, judge=judge)
+        named[judge] = [one["cause"] for one in report["findings"]]
+        assert report["provenance"]["settings"]["policy"]["judge"] == judge
+    assert named["search"]
+    assert named["compete"] == []
+    assert report["verdict"] == "unexplained"
+    assert "the power of the sky" in report["unexplained"]["in_words"]
 
 
 def test_what_the_test_along_axes_is_too_wide_for_is_noticed_by_its_sentence(spoil, clean, simulation):

@@ -66,6 +66,13 @@ def test_a_year_with_too_few_events_for_a_fit_is_not_yet_due(nightly: Factory, c
         assert len(list(nightly.investigations.due(stores))) == 2
 
 
+def test_another_judge_makes_an_investigation_due_again(nightly: Factory) -> None:
+    with like(nightly, nightly_investigations=True, judge="compete") as other, nightly.database.read() as stores:
+        (one, *_), (again, *_) = (list(use.investigations.due(stores)) for use in (nightly, other))
+    assert one[0] == again[0]
+    assert one[1] != again[1]
+
+
 def test_stored_investigations_never_saw_a_temperature(station: Factory, campaign: Spectra) -> None:
     """Spectra were loaded without covariates: no cause that follows one could be found in the service."""
     window = Window(0, 2**62, Scope("CS002"))
