@@ -21,7 +21,8 @@ from validation.hidden.finder import Judged
 from validation.hidden.no_catalogue import FIRST_SIZE, is_right_axis
 from validation.hidden.one_effect import NAMING_SNR
 from validation.hidden.sizes import size_pull
-from validation.hidden.worlds import EVERYTHING, OWN, draw
+from validation.hidden.worlds import EVERYTHING, OWN
+from validation.hidden.worlds import draw as draw_world
 from validation.machinery.claims import Found, rate_of
 from validation.machinery.parts import Part, Row
 from validation.machinery.tables import by
@@ -40,7 +41,7 @@ JUDGES: Sequence[Judged] = ("compete", "search")
 
 def small_world(seed: int) -> DataSet:
     """A station of six antennas in a drawn world, with every nuisance."""
-    return DataSet(seed, SMALL, EVERYTHING, EVENTS, world=draw(seed, OWN))
+    return DataSet(seed, SMALL, EVERYTHING, EVENTS, world=draw_world(seed, OWN))
 
 
 def ask_both(data: DataSet, fault: Fault | None, axes: str = "") -> Row:
