@@ -65,7 +65,7 @@ def _silent(alarms: Sequence[Alarm], paths: Sequence[Scope], instant: Instant) -
         if since is None or since > instant or (one.ended is not None and one.ended <= instant):
             continue
         sentence = f"no spectrum that sees the sky since {format_instant(since)[:10]}"
-        for path in (by_key[key] for key in one.news.content["paths"] if key in by_key):
+        for path in (by_key[key] for key in one.news.content.get("paths", []) if key in by_key):
             yield BadPath(path, "silent", since, sentence, f"/v1/alarms/{one.number}")
 
 
@@ -73,7 +73,7 @@ def _insensitive(made: Sequence[Investigation]) -> Iterator[BadPath]:
     for one in made:
         when = f"{format_instant(one.since)[:10]} to {format_instant(one.until)[:10]}"
         sentence = f"left out of the investigation of {when}: it does not work, or hardly hears the sky"
-        for label in (label for station in one.report["stations"] for label in station["deaf"]):
+        for label in (label for station in one.report["stations"] for label in station.get("deaf", [])):
             _, antenna, dipole = label.split()
             path = Scope(one.station, int(antenna), dipole)
             yield BadPath(path, "insensitive", one.since, sentence, f"/v1/investigations/{one.id}")
