@@ -172,10 +172,12 @@ class Cache:
             raise CacheError(f"the cache {self._folder} holds no tag: run `lbacal sync TAG` while a server answers")
         return max((self._read_snapshot(name) for name in names), key=lambda snapshot: snapshot.synced_at)
 
-    def has(self, tag: str, asked: Question) -> bool:
-        """Whether a tag was synced, with what is asked for."""
-        is_there = (self._folder / "tags" / f"{_require_tag(tag)}.json").is_file()
-        return is_there and self._read_snapshot(tag).holds(asked)
+    def find(self, tag: str, asked: Question) -> Snapshot | None:
+        """The list of a tag that was synced with what is asked for; None where it was not."""
+        if not (self._folder / "tags" / f"{_require_tag(tag)}.json").is_file():
+            return None
+        snapshot = self._read_snapshot(tag)
+        return snapshot if snapshot.holds(asked) else None
 
     def answer(self, snapshot: Snapshot, asked: Question, kind: str = "json") -> bytes:
         """The answer of the server to a query as of the tag, in one of its formats."""

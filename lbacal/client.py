@@ -108,7 +108,10 @@ class Client:
         """Bring what a tag holds, or a part of it, into `LBACAL_CACHE`; see `Cache.sync`."""
         if self._cache is None:
             raise BadInputError("LBACAL_CACHE", "a folder for the answers of the tag", "nothing")
-        first, last = (None if end is None else parse_instant("part", format_time(end)) for end in (since, until))
+        first, last = (
+            None if end is None else parse_instant(name, format_time(end))
+            for name, end in (("since", since), ("until", until))
+        )
         if first is not None and last is not None and first >= last:
             raise BadInputError("since, until", "an end after the beginning", f"{since} to {until}")
         return self._cache.sync(self, tag, on_step, only=stations, since=first, until=last)
@@ -172,9 +175,10 @@ class Client:
     def _ask(self, params: dict[str, Any]) -> bytes:
         self.snapshot = None
         is_plain = params["as_of"] is None and params["gap"] is None
-        tag = params["tag"]
-        if self._cache and tag is not None and is_plain and self._cache.has(tag, _question(params)):
-            return self._ask_cache(self._cache, params)
+        if self._cache and params["tag"] is not None and is_plain:
+            held = self._cache.find(params["tag"], _question(params))
+            if held is not None:
+                return self._ask_cache(self._cache, params, held)
         try:
             # with a cache nobody need wait for a server that may come back, or for one that is stuck
             patience: dict[str, Any] = {} if self._cache is None else {"tries": 1, "answer_s": STUCK_S}
@@ -182,10 +186,10 @@ class Client:
         except UnreachableError:
             if self._cache is None or params["gap"] is not None:
                 raise
-            return self._ask_cache(self._cache, params)
+            return self._ask_cache(self._cache, params, self._cache.snapshot(params["tag"]))
 
-    def _ask_cache(self, cache: Cache, params: dict[str, Any]) -> bytes:
-        snapshot, wanted = cache.snapshot(params["tag"]), params["as_of"]
+    def _ask_cache(self, cache: Cache, params: dict[str, Any], snapshot: Snapshot) -> bytes:
+        wanted = params["as_of"]
         if wanted is not None and parse_instant("as_of", wanted) != parse_instant("as_of", snapshot.as_of):
             raise BadInputError("as_of", f"{snapshot.as_of}, the instant of the cached tag {snapshot.tag}", wanted)
         answer = cache.answer(snapshot, _question(params), params["format"])

@@ -62,7 +62,7 @@ class Transport:
     _http: httpx2.Client = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        import httpx2  # a sixth of a second that whoever asks no server does not need
+        import httpx2  # slow to load, and only who asks a server needs it
 
         headers = {} if self.api_key is None else {"Authorization": f"Bearer {self.api_key}"}
         self._http = httpx2.Client(base_url=self.url, headers=headers, timeout=TIMEOUT_S)

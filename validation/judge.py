@@ -30,12 +30,14 @@ from validation.machinery.tables import by
 ONE_FROM, UNLISTED_FROM, WAVES_FROM, NOTHING_FROM = 1_100_000_000, 1_200_000_000, 1_300_000_000, 1_400_000_000
 """Seeds of data sets of these parts; those of others begin elsewhere."""
 LARGE = 25.0
+"""Ideal SNR at which no effect is overlooked."""
 SNRS = (NAMING_SNR, LARGE)
 TRIES = 2
 """Draws of an effect until one can have the size: those of the sky by direction are dear."""
 ALONG = ("lst", "utc", "temperature")
-"""What gains follow in `waves`, and the limits of their size."""
+"""Axes that gains follow in `waves`."""
 LEAST, MOST = 0.01, 0.06
+"""Limits of their size, fraction."""
 JUDGES: Sequence[Judged] = ("compete", "search")
 
 

@@ -138,13 +138,15 @@ class StationSearch:
         if best is not None:
             asked = max(asked, _gain_beyond_chance(best) + 2.0 * policy.likelier)
         targets = [whole] if best is None or best.target.scope == STATION else [whole, best.target]
-        likely = [one for target in targets for one in likeliest_sentences(linear, target)]
+        choices = {target.label: 1 if target.scope == STATION else len(self.targets) for target in targets}
+        likely = [one for target in targets for one in likeliest_sentences(linear, target, choices[target.label])]
         if best is not None:
             likely = [refine_sentence(linear, one, policy) for one in likely]
         one = max(likely, key=lambda one: one.gain)
         if one.gain < asked:
             return None
-        one = refine_sentence(linear, max(score_gated(linear, [one.target], one), key=lambda one: one.gain), policy)
+        gated = score_gated(linear, [one.target], one, choices[one.target.label])
+        one = refine_sentence(linear, max(gated, key=lambda one: one.gain), policy)
         self.progress(f"{self.name}: fitting everything again with a sentence")
         fitted = refit(before, Hypothesis(SENTENCE, one.template, one.target, one.size))
         if fitted is None or not _is_possible(fitted):

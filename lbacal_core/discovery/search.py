@@ -201,7 +201,9 @@ def _name_structure(
     structure = None
     if best.hypothesis.target.scope == STATION:
         structure = structure_along(named.last.linear, axis_of(course), chance)
-    return named, structure or find_structure(named.last.linear, rng, search.alpha, chance)
+    return named, structure or find_structure(
+        named.last.linear, rng, search.policy.structure_alpha / search.stations, chance
+    )
 
 
 def _grow_beside(first: FittedModel, axis: Axis, vectors: Floats, search: StationSearch) -> Grown:

@@ -66,11 +66,11 @@ class ScoredSentence:
         return self.target.label, place, law[0], *names_in(course)
 
 
-def likeliest_sentences(model: LinearModel, target: Target) -> list[ScoredSentence]:
+def likeliest_sentences(model: LinearModel, target: Target, choices: int = 1) -> list[ScoredSentence]:
     """The likeliest sentences of different families for a target, of few laws and places and all courses."""
     conditions = model.station.conditions
     spectra = list(product(NOTICED_AT, rough_laws(conditions)[:NOTICED_BY]))
-    return best_of_families(score_sentences(model, [target], spectra, list_courses(conditions)))[:TRIED]
+    return best_of_families(score_sentences(model, [target], spectra, list_courses(conditions), choices))[:TRIED]
 
 
 def names_in(course: Form) -> tuple[str, ...]:
@@ -81,11 +81,15 @@ def names_in(course: Form) -> tuple[str, ...]:
 
 
 def score_sentences(
-    model: LinearModel, targets: Sequence[Target], spectra: Sequence[tuple[str, Form]], courses: Sequence[Form]
+    model: LinearModel,
+    targets: Sequence[Target],
+    spectra: Sequence[tuple[str, Form]],
+    courses: Sequence[Form],
+    choices: int = 1,
 ) -> list[ScoredSentence]:
-    """The best course for every place and law, with its target."""
+    """The best course for every place and law, with its target; of `choices`, where that was chosen before."""
     conditions, found = model.station.conditions, list[ScoredSentence]()
-    length = Lengths(conditions, len(targets))
+    length = Lengths(conditions, max(len(targets), choices))
     by_columns: dict[tuple[str, ...], list[Form]] = {}
     for course in courses:
         by_columns.setdefault(columns_of(course), []).append(course)
@@ -117,14 +121,16 @@ def _scores(
     return score_families(model, families, targets)
 
 
-def score_gated(model: LinearModel, targets: Sequence[Target], one: ScoredSentence) -> list[ScoredSentence]:
+def score_gated(
+    model: LinearModel, targets: Sequence[Target], one: ScoredSentence, choices: int = 1
+) -> list[ScoredSentence]:
     """The best of a sentence, and of its products with courses that say when it acts."""
     place, law, course = parts_of(one.template)
     gates = [
         gate for gate in list_courses(model.station.conditions) if COURSES[gate[0]].gates or gate[0] in OTHER_GATES
     ]
     together = [(PRODUCT, course, gate) for gate in gates if names_in(gate) != names_in(course)]
-    return score_sentences(model, targets, [(place, law)], [course, *together])
+    return score_sentences(model, targets, [(place, law)], [course, *together], choices)
 
 
 class Lengths:

@@ -1,6 +1,6 @@
 """The schema's version: bring it up to date, or report that it is not.
 
-Alembic, whose import takes a tenth of the start of a process, is loaded where a schema is changed or compared.
+Alembic is slow to load: only who changes or compares a schema loads it.
 """
 
 from __future__ import annotations

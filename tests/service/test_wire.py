@@ -216,6 +216,8 @@ def test_a_part_of_a_tag_answers_what_it_holds_and_says_what_it_does_not(factory
         assert client.effective("CS001", at="2014-03-01", tag=tagged).meta["source"] == url
         with pytest.raises(BadInputError, match="station: expected one of CS001, CS002, found 'CS009'"):
             client.sync(tagged, stations=["CS009"])
+        with pytest.raises(BadInputError, match="until: expected an ISO 8601 date"):
+            client.sync(tagged, until="soon")
         with pytest.raises(BadInputError, match="an end after the beginning"):
             client.sync(tagged, since="2014-07-01", until="2014-03-01")
     client = lbacal.Client(ABSENT)
