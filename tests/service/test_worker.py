@@ -59,7 +59,6 @@ def test_the_same_refit_again_returns_the_same_versions_and_promotes_nothing(
     assert (len(jobs[0]["promoted"]), jobs[1]["promoted"], jobs[1]["gated"]) == (8, [], {})
 
 
-@pytest.mark.parametrize("database_url", ["sqlite"], indirect=True)
 def test_station_and_array_refits_answer_where_no_antenna_version_does(station: Factory, http: TestClient) -> None:
     refit(http, scope="station")
     refit(http, scope="array")
@@ -70,7 +69,6 @@ def test_station_and_array_refits_answer_where_no_antenna_version_does(station: 
     assert (by[("CS002", 1)], by[("CS002", 2)], by[("CS003", 0)]) == ("antenna", "station", "array")
 
 
-@pytest.mark.parametrize("database_url", ["sqlite"], indirect=True)
 def test_without_promotion_a_refit_makes_candidates(station: Factory, http: TestClient) -> None:
     number = refit(http, promote=False)
     work(station)
@@ -78,7 +76,6 @@ def test_without_promotion_a_refit_makes_candidates(station: Factory, http: Test
     assert http.get("/v1/calibrations/effective?at=2014-07-01").status_code == 404
 
 
-@pytest.mark.parametrize("database_url", ["sqlite"], indirect=True)
 def test_the_gate_keeps_back_what_has_too_few_events_and_says_so(station: Factory, http: TestClient) -> None:
     number = refit(http, since="2014-01-01", until="2014-02-01")
     work(station)
@@ -89,7 +86,6 @@ def test_the_gate_keeps_back_what_has_too_few_events_and_says_so(station: Factor
     assert "too_few_events" in version["gate"]
 
 
-@pytest.mark.parametrize("database_url", ["sqlite"], indirect=True)
 def test_the_gate_keeps_back_a_jump(station: Factory, http: TestClient) -> None:
     refit(http)
     work(station)

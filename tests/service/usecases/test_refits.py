@@ -63,7 +63,6 @@ def test_one_bad_spectrum_stopped_array_station_and_path_for_the_year(
                 assert np.all(np.abs(curve.c - expected.c) < 0.3 * expected.c_sigma_stat), curve.name
 
 
-@pytest.mark.parametrize("database_url", ["sqlite"], indirect=True)
 def test_the_gate_names_the_events_that_made_it_object(bare: Factory, campaign: Spectra) -> None:
     """Every twelfth event is a state of the path, which no rule may leave out: a human decides, who is told which."""
     of_path = np.flatnonzero((campaign.antenna == 2) & (campaign.dipole == "X"))
@@ -80,7 +79,6 @@ def test_the_gate_names_the_events_that_made_it_object(bare: Factory, campaign: 
     assert len(refit(bare, "station").results[0]["promoted"]) == 1, "the mean does without that path"
 
 
-@pytest.mark.parametrize("database_url", ["sqlite"], indirect=True)
 def test_what_was_left_out_is_shown_and_stays_in_the_database(bare: Factory, campaign: Spectra) -> None:
     row = int(np.flatnonzero((campaign.antenna == 1) & (campaign.dipole == "Y"))[5])
     name = str(campaign.event_id[row])
@@ -207,7 +205,6 @@ def test_another_model_is_news_even_where_c_stays(after_night: Factory, monkeypa
     assert count(after_night, "calibration") == 2 * before
 
 
-@pytest.mark.parametrize("database_url", ["sqlite"], indirect=True)
 def test_spectra_in_volts_fail_the_refit_with_the_reason(bare: Factory, campaign: Spectra) -> None:
     add_spectra(bare, replace(campaign, power=campaign.power**0.5))
     job = refit(bare, "station")
