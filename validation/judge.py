@@ -30,7 +30,7 @@ from validation.machinery.tables import by
 ONE_FROM, UNLISTED_FROM, WAVES_FROM, NOTHING_FROM = 1_100_000_000, 1_200_000_000, 1_300_000_000, 1_400_000_000
 """Seeds of data sets of these parts; those of others begin elsewhere."""
 LARGE = 25.0
-"""Ideal SNR at which no effect is overlooked."""
+"""Ideal SNR of a large effect."""
 SNRS = (NAMING_SNR, LARGE)
 TRIES = 2
 """Draws of an effect until one can have the size: those of the sky by direction are dear."""
