@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from lbacal.pages.report import COLOURS, MARKERS, SETTINGS
+from lbacal.pages.chart import COLOURS
 from lbacal_core.antenna.lofar import ResonanceCircuit
 from lbacal_core.antenna.model import zenith_gain
 from lbacal_core.antenna.names import load_antenna
@@ -37,6 +37,23 @@ from lbacal_paper.showers.recording import field_power, true_power
 from lbacal_paper.showers.signals import HIGH_MHZ, LOW_MHZ
 from lbacal_paper.study import EXCHANGE, Study
 
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+"""One for each of `COLOURS`, so that no curve is told by colour alone."""
+SETTINGS: Any = {
+    "font.size": 8,
+    "font.family": "serif",
+    "mathtext.fontset": "dejavuserif",
+    "axes.linewidth": 0.7,
+    "xtick.direction": "in",
+    "ytick.direction": "in",
+    "xtick.top": True,
+    "ytick.right": True,
+    "legend.fontsize": 6.5,
+    "legend.frameon": False,
+    "svg.hashsalt": "lbacal",
+    "pdf.fonttype": 42,
+}
+"""Style of printed figures: readable in grey, and at column width."""
 LINE, POINTS, BAND, BOXES = "line", "points", "band", "boxes"
 KINDS = (LINE, POINTS, BAND, BOXES)
 OURS, PUBLISHED, OTHER = "ours", "published", "other"

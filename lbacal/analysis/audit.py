@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from astropy.table import QTable
 from lbacal.analysis.data import import_data
 from lbacal.analysis.instrument import Described, core_of
 from lbacal.analysis.result import Result
-from lbacal.pages.audit import draw_departures, draw_page, draw_stations
+from lbacal.pages.audit import draw_page, draw_station
 from lbacal_core.audit.audit import AuditReport
 from lbacal_core.audit.audit import audit as audit_spectra
 from lbacal_core.audit.verdict import WRONG, Line
@@ -73,8 +74,7 @@ def audit(
             f"{station.name}: {station.antennas.size} antennas, {station.hours:.2f} h of sidereal time"
             for station in report.stations
         ],
-        draw=partial(draw_stations, report.stations),
-        draw_on=partial(draw_departures, station=report.stations[0], column=0),
+        charts=lambda: chain.from_iterable(map(draw_station, report.stations)),
         as_table=lambda: QTable(rows=[list(row) for row in rows], names=COLUMNS, dtype=[str] * len(COLUMNS)),
         as_dict=report.as_dict,
         page=partial(draw_page, report, name),

@@ -15,7 +15,7 @@ from astropy.table import QTable
 from lbacal.analysis.data import spectra_of
 from lbacal.analysis.instrument import Described, simulation_of
 from lbacal.analysis.result import Result
-from lbacal.pages.budget import describe_best, draw_budget, stack_terms, tabulate
+from lbacal.pages.budget import describe_best, draw_budget, tabulate
 from lbacal.with_model import Extended, read_open_terms
 from lbacal_core.calibration.budget import compute_budget, measure_electronics
 from lbacal_core.calibration.chain_form import compare_forms
@@ -36,14 +36,13 @@ class ErrorBudget(Result):
     @classmethod
     def of(cls, shared: Budget, terms: Sequence[BudgetTerm]) -> Self:
         """Make the result of these terms."""
-        nu, first = shared.frequency_mhz, next(iter(terms[0].vectors))
+        nu = shared.frequency_mhz
         of_gain = ["C/|H| has no error of the antenna gain."] if any(term.is_of_gain for term in terms) else []
         return cls(
             title=f"budget {shared.digest}",
             rows=tabulate(nu, terms),
             notes=[describe_best(nu, terms), *of_gain],
-            draw=partial(draw_budget, shared, terms),
-            draw_on=partial(stack_terms, frequency_mhz=nu, terms=terms, polarisation=first),
+            charts=partial(draw_budget, shared, terms),
             as_table=partial(_list_sigmas, nu, terms),
             as_dict=lambda: {shared.digest: shared.as_dict()},
             shared=shared,

@@ -19,6 +19,8 @@ from lbacal.calibration_files import holds_curves, read_calibrations
 from lbacal.chain import convert_number
 from lbacal.client import format_time, make_table
 from lbacal.curve_table import CurveTable
+from lbacal.pages.chart import BAND, COLOURS, LINE, Chart, Series
+from lbacal.pages.curves import FREQUENCY
 from lbacal.selection import (
     SUFFIXES,
     Selection,
@@ -82,7 +84,7 @@ class BackgroundSpectra(Spectra):
             ],
             words=2,
             notes=self.notes,
-            draw_on=partial(_draw_powers, frequency_mhz=self.frequency_mhz, powers=powers),
+            charts=lambda: [_draw_powers(self.frequency_mhz, powers)],
             more=dict.fromkeys(SUFFIXES, partial(write_spectra, self)),
         )
 
@@ -102,13 +104,15 @@ class BackgroundSpectra(Spectra):
         return self.shown._repr_html_()
 
 
-def _draw_powers(axes: Any, frequency_mhz: Floats, powers: Mapping[str, Floats]) -> None:
-    for name, power in powers.items():
-        (low, high), middle = np.percentile(power, WITHIN_1_SIGMA, axis=0), np.median(power, axis=0)
-        (line,) = axes.plot(frequency_mhz, middle, label=f"{name}, median")
-        axes.fill_between(frequency_mhz, low, high, color=line.get_color(), alpha=0.2, lw=0)
-    axes.set(xlabel="frequency (MHz)", ylabel="power (ADC²/Ω/MHz)", yscale="log")
-    axes.legend(fontsize=8, frameon=False)
+def _draw_powers(frequency_mhz: Floats, powers: Mapping[str, Floats]) -> Chart:
+    series = []
+    for k, (name, power) in enumerate(powers.items(), start=1):
+        (low, high), colour = np.percentile(power, WITHIN_1_SIGMA, axis=0), k % len(COLOURS)
+        series += [
+            Series(BAND, frequency_mhz, low=low, high=high, colour=colour),
+            Series(LINE, frequency_mhz, np.median(power, axis=0), name=f"{name}, median", colour=colour),
+        ]
+    return Chart("power of the spectra", FREQUENCY, "power (ADC²/Ω/MHz)", series, ("linear", "log"))
 
 
 def spectra_of(data: Spectra | str | Path) -> Spectra:

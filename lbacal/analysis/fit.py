@@ -17,7 +17,7 @@ from lbacal.calibration_files import FORMATS, complete_curves, write_calibration
 from lbacal.client import make_table
 from lbacal.curve_table import CurveTable
 from lbacal.pages.chart import Chart
-from lbacal.pages.fit import average_residuals, draw_c, draw_fit, draw_page, plot_fit
+from lbacal.pages.fit import average_residuals, draw_c, draw_fit, draw_page
 from lbacal.pages.fit_summary import describe_error, explain_chi2, tabulate_curves
 from lbacal.with_model import Extended, read_model, read_open_terms
 from lbacal_core.audit.audit import audit_quickly
@@ -151,15 +151,16 @@ def fit(
     counted = sum(curve.status == CONVERGED for curve in report.curves)
     content = partial(_content_of, report, simulation)
 
-    def draw() -> dict[str, list[Chart]]:
+    def draw() -> list[Chart]:
         return draw_fit(report, average_residuals(measured, report.curves, seen), seen)
 
     return Calibration(
         title=f"{simulation.instrument.name}: {counted} of {len(report.curves)} curves converged",
         rows=tabulate_curves(report.curves),
         notes=[*sentences, *explained, *_describe_rest(report, simulation, len(measured))],
-        draw=lambda: plot_fit(draw()),
-        draw_on=draw_c(report.curves).draw,
+        charts=draw,
+        main=lambda: draw_c(report.curves),
+        columns=len({curve.dipole for curve in report.curves}),
         as_dict=content,
         as_table=lambda: make_table(dict(content())),
         page=lambda: draw_page(report, draw(), measured.origin, sentences),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -10,14 +10,15 @@ from typing import Any, NamedTuple
 
 from astropy import units as u
 from astropy.table import QTable
-from matplotlib.figure import Figure
 
 from lbacal.analysis.data import spectra_of
 from lbacal.analysis.instrument import Described, simulation_of
 from lbacal.analysis.result import Result
 from lbacal.chain import convert_number
+from lbacal.pages.chart import Chart
 from lbacal.pages.curve import draw_change, draw_curve, draw_curve_page, draw_ranking
-from lbacal.pages.investigation import draw_page, plot_finding, plot_scores
+from lbacal.pages.finding import draw_finding, draw_scores
+from lbacal.pages.investigation import draw_page
 from lbacal.settings import judge
 from lbacal.with_model import Extended, read_model
 from lbacal_core.audit.audit import audit_quickly
@@ -141,8 +142,11 @@ def investigate(
     content["provenance"]["notes"]["audit"] = audited.sentence
     content = add_left_open(content, stations)
 
-    draw, page = partial(plot_scores, content), partial(draw_page, content, measured.origin, simulation.instrument.name)
-    return _make(measured.origin, content, simulation, Figures(draw, draw, page, plot_finding))
+    page = partial(draw_page, content, measured.origin, simulation.instrument.name)
+    figures = Figures(
+        lambda: map(draw_scores, content["scores"].values()), page, lambda one: draw_finding(one).values()
+    )
+    return _make(measured.origin, content, simulation, figures)
 
 
 def _investigate_curve(curve: LstCurve, simulation: Simulation, band_mhz: tuple[float, float]) -> Investigation:
@@ -152,10 +156,9 @@ def _investigate_curve(curve: LstCurve, simulation: Simulation, band_mhz: tuple[
     settings = {"band_mhz": list(band_mhz), "own_sky": simulation.is_own_sky, "policy": found.policy.as_dict()}
     content = describe_curve(found, Provenance(inputs, settings))
     figures = Figures(
-        draw=partial(draw_curve, found, curve.origin),
-        draw_on=partial(draw_ranking, found),
+        charts=lambda: [*draw_curve(found), draw_ranking(found), *draw_change(found)],
         page=partial(draw_curve_page, content, found),
-        draw_finding=lambda _, axes=None: draw_change(found) if axes is None else draw_ranking(found, axes),
+        of_finding=lambda _: draw_change(found),
     )
     return _make(curve.origin, content, simulation, figures)
 
@@ -163,10 +166,9 @@ def _investigate_curve(curve: LstCurve, simulation: Simulation, band_mhz: tuple[
 class Figures(NamedTuple):
     """The figures of an investigation of spectra, or of an LST curve, and of its findings."""
 
-    draw: Callable[[], Figure]
-    draw_on: Callable[[Any], object]
+    charts: Callable[[], Iterable[Chart]]
     page: Callable[[], str]
-    draw_finding: Callable[..., Figure]
+    of_finding: Callable[[Mapping[str, Any]], Iterable[Chart]]
 
 
 def _make(source: str, content: dict[str, Any], simulation: Simulation, figures: Figures) -> Investigation:
@@ -176,8 +178,7 @@ def _make(source: str, content: dict[str, Any], simulation: Simulation, figures:
             rows=[("gain", ""), *((k, f"{v:.4g}") for k, v in one["gain"].items() if isinstance(v, float | int))],
             told=list(_tell_finding(one)),
             notes=[one["sentence"]],
-            draw=partial(figures.draw_finding, one),
-            draw_on=partial(figures.draw_finding, one),
+            charts=partial(figures.of_finding, one),
             as_dict=partial(dict, one),
             report=content,
             simulation=simulation,
@@ -200,8 +201,7 @@ def _make(source: str, content: dict[str, Any], simulation: Simulation, figures:
         rows=[COLUMNS, *rows],
         told=[*_tell(content), *notes],
         notes=notes,
-        draw=figures.draw,
-        draw_on=figures.draw_on,
+        charts=figures.charts,
         page=figures.page,
         as_dict=lambda: content,
         as_table=lambda: QTable(rows=rows or None, names=COLUMNS, dtype=[str] * len(COLUMNS)),

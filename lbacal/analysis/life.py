@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,11 @@ from astropy.table import QTable
 from lbacal.analysis.result import Result
 from lbacal.client import Client
 from lbacal.lives import ask_life, tell_life
+from lbacal.pages.chart import MARK, POINTS, RED, Chart, Series
 from lbacal_core.errors import name_path
+
+MIDDLE_S = 14 * 86_400.0
+"""From the beginning of a month to its middle."""
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
@@ -53,23 +56,20 @@ def life(station: str | None = None, antenna: int | None = None, dipole: str | N
         rows=[("date", "what happened"), *tell_life(content)],
         words=2,
         notes=[f"versions: {len(content['versions'])}, epochs: {len(content['epochs'])}"],
-        draw_on=partial(_draw, content=content, months=months),
+        charts=lambda: [_draw(content, months)],
         as_dict=lambda: content,
         as_table=lambda: QTable({"month": [one["month"] for one in months], **columns}),
         content=content,
     )
 
 
-def _draw(axes: Any, content: Mapping[str, Any], months: list[dict[str, Any]]) -> None:
+def _draw(content: Mapping[str, Any], months: list[dict[str, Any]]) -> Chart:
     """C of every month with its error, and the changes as lines: those in force whole, others dotted."""
-    time = np.array([one["month"] for one in months], dtype="datetime64[M]").astype("datetime64[D]") + 14
+    time = np.array([one["month"] for one in months], dtype="datetime64[M]").astype("datetime64[s]").astype(float)
     ratio, low, high = (np.array([one[name] for one in months], dtype=float) for name in ("c_ratio", "low", "high"))
-    axes.errorbar(time, ratio, [ratio - low, high - ratio], fmt="o", ms=3, lw=1, color="black", label="C of a month")
+    series = [Series(POINTS, time + MIDDLE_S, ratio, low, high, "C of a month")]
     for one in content["changes"]:
-        style = "-" if one["decision"] == "in_force" and one["ended_at"] is None else ":"
-        at = np.datetime64(one["at"]["value"][:10])
-        axes.axvline(at, color="C3", ls=style, lw=1.2)
-        words = f" change {one['id']}"
-        axes.text(at, 1.0, words, transform=axes.get_xaxis_transform(), va="top", fontsize=8, color="C3")
-    axes.set(xlabel="date", ylabel="C over that of the first year")
-    axes.tick_params(axis="x", rotation=30)
+        style = 0 if one["decision"] == "in_force" and one["ended_at"] is None else 2
+        at, name = np.datetime64(one["at"]["value"][:10], "s").astype(float), f"change {one['id']}"
+        series.append(Series(MARK, [at], name=name, colour=RED, style=style, titles=[name]))
+    return Chart("C over time", "date", "C over that of the first year", series, ("time", "linear"))

@@ -13,7 +13,7 @@ from astropy.table import QTable
 from lbacal.analysis.instrument import Described, simulation_of
 from lbacal.analysis.result import Result
 from lbacal.chain import convert_number
-from lbacal.pages.report import draw_lst_comparison, draw_lst_panel
+from lbacal.pages.curve import draw_comparison
 from lbacal_core.data.lofar import DIPOLES, SUPERTERP
 from lbacal_core.lstcurve.curve import BAND_MHZ, Comparison, LstCurve, compare_lst_curve, read_lst_curve
 from lbacal_core.sky.table import SkyPower
@@ -64,8 +64,7 @@ def lst_curve(
             ),
         ],
         words=2,
-        draw=partial(draw_lst_comparison, found, simulation),
-        draw_on=partial(draw_lst_panel, comparison=found, simulation=simulation, dipole=DIPOLES[0]),
+        charts=partial(draw_comparison, found, simulation),
         as_table=partial(_list_points, found),
         as_dict=found.as_dict,
         comparison=found,

@@ -19,6 +19,8 @@ from lbacal.analysis.result import Result
 from lbacal.client import Client, format_time
 from lbacal.curve_table import SHOWN_NAMES
 from lbacal.instants import format_instant, parse_instant
+from lbacal.pages.chart import BAND, LINE, Chart, Series
+from lbacal.pages.curves import FREQUENCY
 from lbacal.with_model import Extended, read_model
 from lbacal_core.calibration.prediction import EventNoise
 from lbacal_core.discovery.forward import predict as predict_path
@@ -212,7 +214,7 @@ def _make(content: Mapping[str, Any]) -> Prediction:
             [f"{name}, {one.unit}".rstrip(", "), *(f"{one[k].value:.4g}" for k in at)] for name, one in columns.items()
         ],
         notes=[*shown, f"noise of an event: {content['noise']['source']}", *content["notes"]],
-        draw_on=partial(_draw, nu=nu, power=power, bands={"one event": event_sigma, "known to": sigma}),
+        charts=lambda: [_draw(nu, power, {"one event": event_sigma, "known to": sigma})],
         as_dict=lambda: content,
         as_table=lambda: QTable(columns),
         more={".h5": write, ".hdf5": write},
@@ -247,10 +249,11 @@ def _write_group(group: h5py.Group, content: Mapping[str, Any]) -> None:
             group.attrs[name] = "; ".join(value) if isinstance(value, list) else value
 
 
-def _draw(axes: Any, nu: Floats, power: Floats, bands: Mapping[str, Floats]) -> None:
+def _draw(nu: Floats, power: Floats, bands: Mapping[str, Floats]) -> Chart:
     """The expected power with what one event scatters about it, and how well it is known."""
-    axes.plot(nu, power, color="black", label="expected")
-    for label, sigma in bands.items():
-        axes.fill_between(nu, power - sigma, power + sigma, alpha=0.3, lw=0, label=f"{label}, 68 %")
-    axes.set(xlabel="frequency (MHz)", ylabel="power", yscale="log")
-    axes.legend(fontsize=8, frameon=False)
+    series = [
+        Series(BAND, nu, low=power - sigma, high=power + sigma, name=f"{name}, 68 %", colour=k)
+        for k, (name, sigma) in enumerate(bands.items(), start=1)
+    ]
+    series.append(Series(LINE, nu, power, name="expected"))
+    return Chart("expected power", FREQUENCY, "power", series, ("linear", "log"))

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from html import escape
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lbacal.files import written_beside
+from lbacal.pages.chart import Chart, plot_charts
 from lbacal.pages.tables import align
 from lbacal.tables import escape_texts
 from lbacal_core.errors import BadInputError
@@ -43,8 +43,10 @@ class Result:
         What else there is to know, a sentence each.
     told
         The lines that are printed, where these are not the rows and the notes.
-    draw_on, draw
-        Draw what matters most on axes; make a figure of all that there is to see, where that is more.
+    charts, main
+        Make all that there is to see; and what matters most, where that is not the first of them.
+    columns
+        How many of the charts stand beside each other in a figure.
     as_table, as_dict, page
         Make a table of its numbers, with units; its content as JSON values; an HTML page. None where there is none.
     more
@@ -55,8 +57,9 @@ class Result:
 
     title: str
     rows: Sequence[Row]
-    draw_on: Callable[[Any], object]
-    draw: Callable[[], Figure] | None = None
+    charts: Callable[[], Iterable[Chart]]
+    main: Callable[[], Chart] | None = None
+    columns: int = 2
     words: int = 1
     notes: Sequence[str] = ()
     told: Sequence[str] | None = None
@@ -80,11 +83,10 @@ class Result:
 
     def plot(self, ax: Any = None) -> Figure:
         """All that there is to see as a figure; or what matters most, on axes of matplotlib."""
-        if ax is None and self.draw is not None:
-            return self.draw()
-        axes = import_module("matplotlib.figure").Figure(layout="constrained").subplots() if ax is None else ax
-        self.draw_on(axes)
-        figure: Figure = axes.figure
+        if ax is None:
+            return plot_charts(list(self.charts()), self.columns)
+        (self.main() if self.main else next(iter(self.charts()))).draw(ax)
+        figure: Figure = ax.figure
         return figure
 
     def save(self, path: str | Path, form: str | None = None) -> None:
@@ -108,10 +110,10 @@ class Result:
             writers[suffix](beside)
 
     def _write_page(self, path: Path) -> None:
-        from lbacal.pages.report import embed, fill_report
+        from lbacal.pages.report import fill_report
 
         own: dict[str, Any] = {"title": self.title, "rows": self.rows, "notes": self.notes}
-        page = self.page() if self.page else fill_report("result.html", **own, figure=embed(self.plot()))
+        page = self.page() if self.page else fill_report("result.html", **own, charts=self.charts())
         path.write_text(page, encoding="utf-8")
 
     def _write_table(self, path: Path, kind: str) -> None:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
+from lbacal.pages.chart import BAND, COLOURS, LINE, Chart, Series
+from lbacal.pages.curves import FREQUENCY, PERCENT, above_zero, draw_terms
 from lbacal_core.curves.covariance import Budget, BudgetTerm
 from lbacal_core.grids import Floats
 
@@ -15,6 +15,8 @@ PAPER_TOTAL = 0.13
 """Table 1 of Mulrey et al. 2019, below 77 MHz."""
 SHOWN = 6
 """Frequencies of the table, from the lowest channel to the highest."""
+STACKED = 5
+"""Terms with a colour of their own."""
 
 
 def tabulate(frequency_mhz: Floats, terms: Sequence[BudgetTerm]) -> list[list[str]]:
@@ -44,30 +46,23 @@ def describe_best(frequency_mhz: Floats, terms: Sequence[BudgetTerm]) -> str:
     )
 
 
-def draw_budget(shared: Budget, terms: Sequence[BudgetTerm]) -> Figure:
-    """Variances stacked against frequency, on the scale of the standard deviation of what lies below."""
-    polarisations = list(terms[0].vectors)
-    figure = Figure(figsize=(5.2 * len(polarisations), 5.0), layout="constrained")
-    panels: Any = np.atleast_1d(figure.subplots(1, len(polarisations), sharey=True))
-    for axes, polarisation in zip(panels, polarisations, strict=True):
-        stack_terms(axes, shared.frequency_mhz, terms, polarisation)
-    panels[0].set_ylabel("systematic error of C (%), terms added in quadrature")
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, fontsize=8, frameon=False, ncols=3, loc="outside lower center")
-    return figure
+def draw_budget(shared: Budget, terms: Sequence[BudgetTerm]) -> list[Chart]:
+    """The terms of each polarisation against frequency, and how large each is over the band."""
+    budget = Budget(shared.frequency_mhz, tuple(terms))
+    return [*(_stack_terms(budget, polarisation) for polarisation in terms[0].vectors), draw_terms(budget)]
 
 
-def stack_terms(axes: Any, frequency_mhz: Floats, terms: Sequence[BudgetTerm], polarisation: str) -> None:
-    """The variances of one polarisation on axes."""
-    below = np.zeros(frequency_mhz.size)
-    for k, term in enumerate(terms):
-        above = below + term.variance(polarisation)
-        axes.fill_between(
-            frequency_mhz, 100 * np.sqrt(below), 100 * np.sqrt(above), color=f"C{k % 10}",
-            alpha=0.75 if k < 10 else 0.4, lw=0, label=term.name,
-        )  # fmt: skip
-        below = above
-    axes.plot(frequency_mhz, 100 * np.sqrt(below), color="black", lw=1.4, label="total")
-    axes.set(xlabel="frequency (MHz)", title=f"polarisation {polarisation}", ylim=(0, None))
-    axes.set_xlim(frequency_mhz[0], frequency_mhz[-1])
-    axes.grid(alpha=0.3)
+def _stack_terms(budget: Budget, polarisation: str) -> Chart:
+    """Variances of the largest terms, and of all others together, on the scale of the deviation of what lies below."""
+    ranked = sorted(budget.terms, key=lambda term: -float(np.mean(term.variance(polarisation))))
+    parts = {term.name: term.variance(polarisation) for term in ranked[:STACKED]}
+    if others := [term.variance(polarisation) for term in ranked[STACKED:]]:
+        parts[f"{len(others)} more"] = np.sum(others, axis=0)
+    ends = PERCENT * np.sqrt(np.cumsum([np.zeros(budget.frequency_mhz.size), *parts.values()], axis=0))
+    series = [
+        Series(BAND, budget.frequency_mhz, low=low, high=high, name=name, colour=k % len(COLOURS))
+        for k, (name, low, high) in enumerate(zip(parts, ends[:-1], ends[1:], strict=True), start=1)
+    ]
+    series.append(Series(LINE, budget.frequency_mhz, ends[-1], name="total"))
+    title, label = f"polarisation {polarisation}", "systematic error of C (%), in quadrature"
+    return Chart(title, FREQUENCY, label, series, y_limits=above_zero(series))

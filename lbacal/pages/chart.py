@@ -6,11 +6,15 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from lbacal_core.grids import Floats
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 COLOURS = ("#000000", "#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 """Black, vermilion, blue, green, purple, orange, sky blue of Okabe and Ito (2008); their lightness differs as well."""
@@ -18,6 +22,8 @@ INK, RED, BLUE, GREEN, PURPLE, ORANGE, SKY = range(7)
 OF_DIPOLE = {"X": RED, "Y": BLUE}
 STYLES = ("-", "--", ":", "-.")
 NARROW, WIDE, HEIGHT = 520, 1040, 300
+INCH = 105
+"""Units of a chart's width and height in an inch of a printed figure."""
 LINE, BAND, POINTS, BARS, SPAN, MARK, IMAGE = "line", "band", "points", "bars", "span", "mark", "image"
 
 
@@ -102,7 +108,8 @@ class Chart:
         """Draw it on axes of matplotlib."""
         for one in self.series:
             _draw_series(axes, one, is_time=self.scales[0] == "time")
-        axes.set(title=self.title, xlabel=self.x_label, ylabel=self.y_label, yscale=self.scales[1])
+        is_log = {f"{name}scale": "log" for name, kind in zip("xy", self.scales, strict=True) if kind == "log"}
+        axes.set(title=self.title, xlabel=self.x_label, ylabel=self.y_label, **is_log)
         if self.rows:
             axes.set_yticks(range(len(self.rows)), self.rows)
             axes.set_ylim(len(self.rows) - 0.4, -0.6)
@@ -111,6 +118,22 @@ class Chart:
                 set_limits(limits)
         if any(one.name and one.image is None for one in self.series):
             axes.legend(fontsize=8, frameon=False)
+
+
+def plot_charts(charts: Sequence[Chart], columns: int = 2) -> Figure:
+    """Charts on one figure of matplotlib, row by row."""
+    columns = max(min(columns, len(charts)), 1)
+    rows = [charts[k : k + columns] for k in range(0, len(charts), columns)]
+    heights = [max(chart.height for chart in row) / INCH for row in rows]
+    figure: Figure = import_module("matplotlib.figure").Figure(
+        figsize=(columns * NARROW / INCH, sum(heights) + 0.5), layout="constrained"
+    )
+    panels: Any = figure.subplots(max(len(rows), 1), columns, squeeze=False, height_ratios=heights or None)
+    for axes, chart in zip(panels.ravel(), charts, strict=False):
+        chart.draw(axes)
+    for axes in panels.ravel()[len(charts) :]:
+        axes.set_axis_off()
+    return figure
 
 
 def _quote(text: str) -> str:
@@ -144,8 +167,8 @@ def _draw_series(axes: Any, one: Series, *, is_time: bool) -> None:
     elif one.kind == SPAN:
         axes.axvspan(x[0], x[1], alpha=0.15, lw=0, **look)
     elif one.kind == MARK:
-        for at in x:
-            axes.axvline(at, ls=STYLES[one.style], lw=0.9, color=COLOURS[one.colour])
+        for k, at in enumerate(x):
+            axes.axvline(at, ls=STYLES[one.style], lw=0.9, **(look if k == 0 else look | {"label": None}))
     else:
         shown = axes.imshow(
             one.image, origin="lower", aspect="auto", extent=(*one.x, *one.y), cmap="RdBu_r",

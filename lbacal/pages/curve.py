@@ -1,103 +1,119 @@
-"""The HTML report of an LST curve: one file with its figures inside."""
+"""LST curves: what was measured, the simulation beside it, what each hypothesis does, and the HTML report."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
-from lbacal.pages.report import DIPOLE_COLOURS, embed, fill_report, label_lst_panels
+from lbacal.pages.chart import BAND, BARS, BLUE, GREEN, INK, LINE, MARK, OF_DIPOLE, ORANGE, POINTS, RED, Chart, Series
+from lbacal.pages.curves import FREQUENCY, PERCENT
+from lbacal.pages.report import fill_report
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.discovery.curve_fit import CurveFit
 from lbacal_core.discovery.curve_search import CurveInvestigation
 from lbacal_core.grids import Floats
+from lbacal_core.lstcurve.curve import AS_RECORDED, Comparison, band_weights, in_db, simulate_band_power
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.table import read_at
 
-# The figures of an LST curve: what was measured, the simulation before and after, and what each hypothesis does.
-
-COLOURS = DIPOLE_COLOURS | {"X - Y": "#2b8a5f"}
-GREY = "#8a94a6"
+COLOURS = OF_DIPOLE | {"X - Y": GREEN}
 SMOOTH_HOURS = np.linspace(0.0, 24.0, 193)
 MOST_LINES = 5
+LST, DAY = "local sidereal time (h)", (0.0, 24.0)
+MEASURED, LEFT = "band power, relative to LST 0 (dB)", "measured - simulated (dB)"
 
 
-def draw_curve(found: CurveInvestigation, title: str) -> Figure:
+def draw_comparison(comparison: Comparison, simulation: Simulation) -> Iterator[Chart]:
+    """Measured curve of each dipole, the simulation with and without noise, and what is left."""
+    curve, weights = comparison.curve, band_weights(simulation.instrument, AS_RECORDED, comparison.band_mhz)
+    for dipole in DIPOLES:
+        power = simulate_band_power(simulation.sky_power, dipole, SMOOTH_HOURS, weights)
+        top = [_points(curve.lst_hours, curve.variation_db[dipole], curve.error_db, f"measured, {dipole}", dipole)]
+        below = []
+        for has_noise, style in ((False, 1), (True, 0)):
+            fit = comparison.of(dipole, has_noise=has_noise)
+            words = f"sky and {PERCENT * fit.noise_share:.0f} % noise" if has_noise else "sky alone"
+            level = in_db(power, fit.noise_share) + fit.offset_db
+            name = f"{words}: chi² per point {fit.chi2 / fit.points:.1f}"
+            top.append(Series(LINE, SMOOTH_HOURS, level, name=name, style=style))
+            error = curve.error_db if has_noise else np.zeros(curve.error_db.shape)
+            below.append(_points(curve.lst_hours, fit.residual_db, error, words, dipole if has_noise else ""))
+        yield from _pair(f"dipole {dipole}", top, below)
+
+
+def draw_curve(found: CurveInvestigation) -> Iterator[Chart]:
     """X, Y and their difference with both error bars, the simulation before and after, and what both leave."""
-    figure = Figure(figsize=(11.5, 6.0), layout="constrained")
-    axes: Any = figure.subplots(2, 3, sharex=True, height_ratios=[2, 1])
     curve, hours = found.fitter.curve, found.fitter.curve.lst_hours
-    per_point = {id(fit): fit.chi2_drawn / fit.points for fit in (found.first, found.last)}
-    for column, name in enumerate(COLOURS):
-        top, below, colour = axes[0, column], axes[1, column], COLOURS[name]
+    for name in COLOURS:
         estimated, drawn = _errors(found, name)
-        measured, bars = _combine(curve.variation_db, name), f"bars as drawn; estimated {estimated:.3f} dB"
-        top.errorbar(hours, measured, drawn, fmt="none", ecolor=GREY, lw=0.6, label=bars)
-        top.errorbar(hours, measured, estimated, fmt="o", ms=3, lw=1.3, color=colour, label=f"measured, {name}")
-        for fit, style, words in ((found.first, "--", "before"), (found.last, "-", "after")):
-            line = _smooth(_combine(fit.curve_db, name))
-            label = f"simulation {words}: chi² per point {per_point[id(fit)]:.1f}" if column == 0 else None
-            top.plot(SMOOTH_HOURS, line, style, color="black", lw=1.3, label=label)
+        measured = _combine(curve.variation_db, name)
+        top = [
+            _points(hours, measured, drawn, "bars as drawn", ""),
+            _points(hours, measured, estimated, f"measured, {name}; noise {estimated:.3f} dB", name),
+        ]
+        for fit, style, words in ((found.first, 1, "before"), (found.last, 0, "after")):
+            told = f"simulation {words}: chi² per point {fit.chi2_drawn / fit.points:.1f}"
+            top.append(Series(LINE, SMOOTH_HOURS, _smooth(_combine(fit.curve_db, name)), name=told, style=style))
         if found.fitter.has_model_spread:
-            spread = _spread(found, name)
-            middle = _smooth(_combine(found.last.curve_db, name))
-            top.fill_between(
-                SMOOTH_HOURS, middle - spread, middle + spread, color="black", alpha=0.1, lw=0,
-                label="spread of sky and antenna models" if column == 0 else None,
-            )  # fmt: skip
-        below.plot(hours, _combine(found.first.residual_db, name), "x", ms=4, color=GREY, label="before")
-        left = _combine(found.last.residual_db, name)
-        below.errorbar(hours, left, estimated, fmt="o", ms=3, lw=1.1, color=colour, label="after")
-        top.set_title(name if name in DIPOLES else "difference X - Y", fontsize=10)
-    label_lst_panels(axes)
-    low, high = found.band_mhz
-    named = ", ".join(name_hypothesis(found.last)) or "nothing found"
-    figure.suptitle(f"{title}, {low:g}-{high:g} MHz: {named}", fontsize=11)
-    return figure
+            spread, middle = _spread(found, name), _smooth(_combine(found.last.curve_db, name))
+            low, high, words = middle - spread, middle + spread, "spread of sky and antenna models"
+            top.append(Series(BAND, SMOOTH_HOURS, low=low, high=high, name=words))
+        before, after = (_combine(fit.residual_db, name) for fit in (found.first, found.last))
+        below = [_points(hours, before, 0.0, "before", ""), _points(hours, after, estimated, "after", name)]
+        yield from _pair(name if name in DIPOLES else "difference X - Y", top, below)
 
 
-def draw_ranking(found: CurveInvestigation, on: Any = None) -> Figure:
-    """Chi^2 of every cause by itself, and of the sets that the data cannot exclude; on axes if they are given."""
-    shown = [*{fit.labels: fit for fit in (found.last, *found.open, *found.single) if fit.choices}.values()][::-1]
+def _pair(title: str, top: Sequence[Series], below: Sequence[Series]) -> tuple[Chart, Chart]:
+    """A curve and what the simulation leaves of it, over local sidereal time."""
+    zero = Series(LINE, DAY, (0.0, 0.0))
+    left = Chart(f"{title}: measured less simulated", LST, LEFT, [zero, *below], x_limits=DAY)
+    return Chart(f"{title}: measured and simulated", LST, MEASURED, top, x_limits=DAY), left
+
+
+def _points(hours: Floats, values: Floats, error: Floats | float, words: str, name: str) -> Series:
+    """Points in the colour of a dipole or of the difference, or in ink."""
+    return Series(POINTS, hours, values, values - error, values + error, words, COLOURS.get(name, INK))
+
+
+def draw_ranking(found: CurveInvestigation) -> Chart:
+    """Chi^2 of every cause by itself, and of the sets that the data cannot exclude."""
+    shown = [*{fit.labels: fit for fit in (found.last, *found.open, *found.single) if fit.choices}.values()]
     are_open = {fit.labels for fit in found.open}
-    axes: Any = on or Figure(figsize=(10.5, 0.27 * len(shown) + 1.4), layout="constrained").subplots()
-    for row, fit in enumerate(shown):
-        is_named, is_open = fit.labels == found.last.labels, fit.labels in are_open
-        colour = COLOURS["X"] if is_named else "#d99a2b" if is_open else GREY
-        axes.barh(row, fit.per_point["estimated"], color=colour)
-        words = "  {estimated:.2f}  (drawn bars {drawn_bars:.2f})".format(**fit.per_point)
-        axes.text(fit.per_point["estimated"], row, words, va="center", fontsize=7)
+    standing = [
+        "named" if fit.labels == found.last.labels else "not excluded" if fit.labels in are_open else "excluded"
+        for fit in shown
+    ]
+    series = []
+    for words, colour in (("named", RED), ("not excluded", ORANGE), ("excluded", BLUE)):
+        at = [k for k, one in enumerate(standing) if one == words]
+        told = ["{estimated:.2f} (drawn bars {drawn_bars:.2f})".format(**shown[k].per_point) for k in at]
+        values = [shown[k].per_point["estimated"] for k in at]
+        series.append(Series(BARS, values, at, name=words, colour=colour, titles=told))
     before = found.first.per_point["estimated"]
-    axes.axvline(before, color="black", lw=0.9, ls="--", label=f"no cause: {before:.1f}")
-    axes.axvline(1.0, color="black", lw=0.9, ls=":", label="the noise")
-    for words, colour in (("named", COLOURS["X"]), ("not excluded", "#d99a2b"), ("excluded", GREY)):
-        axes.barh([0], [0], color=colour, label=words)
-    axes.set_yticks(range(len(shown)), [" + ".join(name_hypothesis(fit)) for fit in shown], fontsize=7.5)
-    axes.set(xscale="log", xlim=(None, 6 * before), xlabel="chi² per point, estimated noise")
-    axes.legend(fontsize=8, frameon=False, loc="lower right")
-    figure: Figure = axes.figure
-    return figure
+    series += [
+        Series(MARK, [before], name=f"no cause: {before:.1f}", style=1),
+        Series(MARK, [1.0], name="the noise", style=2),
+    ]
+    rows = [" + ".join(name_hypothesis(fit)) for fit in shown]
+    label, title = "chi² per point, estimated noise", "every hypothesis"
+    return Chart(title, label, "", series, rows=rows, height=90 + 18 * len(rows))
 
 
-def draw_change(found: CurveInvestigation) -> Figure:
+def draw_change(found: CurveInvestigation) -> Iterator[Chart]:
     """Draw the change of C(nu) of each dipole by the named set and by the alternatives."""
-    figure = Figure(figsize=(10.5, 3.6), layout="constrained")
-    axes: Any = figure.subplots(1, 2, sharey=True)
-    frequency = found.fitter.station.channels_mhz
-    for rank, fit in enumerate([found.last, *found.open[:MOST_LINES]]):
-        change = found.fitter.calibration_change(found.first, fit)
-        for panel, d in zip(axes, DIPOLES, strict=True):
-            style: dict[str, Any] = {"lw": 1.1, "ls": "--"} if rank else {"color": "black", "lw": 2.0}
-            panel.plot(frequency, 100 * change[d], label=" + ".join(name_hypothesis(fit)), **style)
-    for panel, d in zip(axes, DIPOLES, strict=True):
-        panel.axhline(0.0, color=GREY, lw=0.8)
-        panel.set_title(f"dipole {d}", fontsize=10)
-        panel.set_xlabel("frequency (MHz)")
-    axes[0].set_ylabel("change of C (%)")
-    figure.legend(
-        *axes[0].get_legend_handles_labels(), loc="outside lower center", fontsize=7.5, frameon=False, ncols=2
-    )
-    return figure
+    shown = [found.last, *found.open[:MOST_LINES]]
+    change = [(fit, found.fitter.calibration_change(found.first, fit)) for fit in shown]
+    for dipole in DIPOLES:
+        series = [
+            Series(
+                LINE, found.fitter.station.channels_mhz, PERCENT * of_fit[dipole],
+                name=" + ".join(name_hypothesis(fit)), colour=k, style=int(k > 0),
+            )
+            for k, (fit, of_fit) in enumerate(change)
+        ]  # fmt: skip
+        yield Chart(f"change of C, dipole {dipole}", FREQUENCY, "change of C (%)", series)
 
 
 def name_hypothesis(fit: CurveFit) -> list[str]:
@@ -136,9 +152,5 @@ def _spread(found: CurveInvestigation, name: str) -> float:
 
 def draw_curve_page(content: dict[str, Any], found: CurveInvestigation) -> str:
     """The report of `lbacal_core.discovery.curve_search.describe_curve` as a page."""
-    figures = {
-        "curve": embed(draw_curve(found, found.fitter.curve.origin)),
-        "ranking": embed(draw_ranking(found)),
-        "change": embed(draw_change(found)),
-    }
-    return fill_report("curve.html", report=content, **figures)
+    curve, change = list(draw_curve(found)), list(draw_change(found))
+    return fill_report("curve.html", report=content, curve=curve, ranking=[draw_ranking(found)], change=change)

@@ -139,15 +139,16 @@ def _draw_amounts(amounts: Mapping[str, Any]) -> Chart:
 
 
 def _draw_maps(maps: Sequence[Mapping[str, Any]], of: str) -> dict[str, Chart]:
-    """Residual maps before and after, on one scale of colours."""
+    """Residual maps before and after, on one scale of colours; one, where nothing was added to the model."""
     charts = {}
     for k, one in enumerate(maps):
         pair = {name: PERCENT * np.array(one[name], dtype=float) for name in ("before", "after")}
         limit = float(np.nanpercentile(np.abs(np.stack(list(pair.values()))), 99)) or 1.0
-        for name, values in pair.items():
+        is_same = np.array_equal(pair["before"], pair["after"], equal_nan=True)  # nothing was added to the model
+        for name, values in [("before", pair["before"])] if is_same else pair.items():
             extent = one["frequency_mhz"], (one["from"], one["to"])
             image = Series(IMAGE, *extent, name="%", image=values, limit=limit)
-            title = f"{of} {name}: {np.sqrt(np.nanmean(values**2)):.2f} % rms"
+            title = f"{of}{'' if is_same else f' {name}'}: {np.sqrt(np.nanmean(values**2)):.2f} % rms"
             charts[f"{name} {k}"] = Chart(title, FREQUENCY, one["label"], [image], y_limits=extent[1])
     return charts
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from itertools import zip_longest
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from lbacal.pages.chart import BAND, BLUE, INK, LINE, MARK, OF_DIPOLE, POINTS, RED, SKY, Chart, Series
 from lbacal.pages.curves import (
@@ -33,7 +32,7 @@ from lbacal_core.spectra.blocks import iterate_blocks
 from lbacal_core.spectra.spectra import Spectra
 
 
-def draw_page(report: FitReport, charts: Mapping[str, Sequence[Chart]], source: str, sentences: Sequence[str]) -> str:
+def draw_page(report: FitReport, charts: Sequence[Chart], source: str, sentences: Sequence[str]) -> str:
     """Draw the report as one HTML file.
 
     Parameters
@@ -55,7 +54,7 @@ def draw_page(report: FitReport, charts: Mapping[str, Sequence[Chart]], source: 
         rows=rows[1:],
         every=every,
         chi2=explain_chi2(report.curves),
-        charts=[chart for column in charts.values() for chart in column],
+        charts=charts,
         budgets=[draw_terms(budget) for budget in report.budgets.values()],
         terms=[_describe_terms(budget) for budget in report.budgets.values()],
         notes=report.provenance.notes,
@@ -93,8 +92,8 @@ def average_residuals(
     return means
 
 
-def draw_fit(report: FitReport, maps: Mapping[str, Floats], simulation: Simulation) -> dict[str, list[Chart]]:
-    """The charts of a fit by polarisation.
+def draw_fit(report: FitReport, maps: Mapping[str, Floats], simulation: Simulation) -> list[Chart]:
+    """The charts of a fit, of each kind those of all polarisations.
 
     Parameters
     ----------
@@ -102,7 +101,7 @@ def draw_fit(report: FitReport, maps: Mapping[str, Floats], simulation: Simulati
         From `average_residuals`.
     """
     curves = [curve for curve in report.curves if curve.c is not None]
-    limit, found = limit_residuals(maps.values()), {}
+    limit, found = limit_residuals(maps.values()), list[list[Chart]]()
     for dipole in sorted({str(curve.dipole) for curve in curves}) or list(maps):
         own = [curve for curve in curves if curve.dipole == dipole]
         charts = [draw_c(own, f"C, polarisation {dipole}")]
@@ -112,19 +111,8 @@ def draw_fit(report: FitReport, maps: Mapping[str, Floats], simulation: Simulati
         if own:
             sky = simulation.sky_power.power[dipole].mean(axis=0)
             charts += [_draw_noise(own, simulation.instrument, sky, dipole), _draw_chi2(own, dipole)]
-        found[dipole] = charts
-    return found
-
-
-def plot_fit(charts: Mapping[str, Sequence[Chart]]) -> Figure:
-    """All of a fit on one figure, a column a polarisation."""
-    rows = max(map(len, charts.values()), default=1)
-    figure = Figure(figsize=(4.9 * max(len(charts), 1), 3.4 * rows), layout="constrained")
-    panels: Any = figure.subplots(rows, max(len(charts), 1), squeeze=False)
-    for column, of_dipole in zip(panels.T, charts.values(), strict=False):
-        for axes, chart in zip(column, of_dipole, strict=False):
-            chart.draw(axes)
-    return figure
+        found.append(charts)
+    return [chart for of_kind in zip_longest(*found) for chart in of_kind if chart is not None]
 
 
 def draw_c(curves: Sequence[CalibrationCurve], title: str = "C") -> Chart:

@@ -8,10 +8,10 @@ import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from lbacal.pages.report import COLOURS, MARKERS
+from lbacal.pages.chart import COLOURS
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_paper.budget import Budget, measure_electronics, spread_with_cables
-from lbacal_paper.figures import Panel, PaperFigure, Series, draw, make_chain_figures, make_shower_figures
+from lbacal_paper.figures import MARKERS, Panel, PaperFigure, Series, draw, make_chain_figures, make_shower_figures
 from lbacal_paper.reference_source import CELL, CHAMBER
 from lbacal_paper.shower_study import FITTED, RIGHT, TOTAL, ShowerStudy, describe_terms
 from lbacal_paper.study import Study

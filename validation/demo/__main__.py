@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from lbacal.pages.curve import draw_curve
-from lbacal.pages.report import embed, fill_report
+from lbacal.pages.report import fill_report
 from lbacal_core.calibration.budget import add_budget, compute_budget
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves.curves import CalibrationCurve, FitReport
@@ -179,7 +179,7 @@ def render_report(shown: Demonstration, served: ServedRun | None = None) -> str:
         served=None if served is None else describe_served(served),
         served_rows=[] if served is None else tabulate_served(served, shown.campaign),
         calibration=draw_calibration(fitted, truth),
-        curve=embed(draw_curve(shown.curve, "Mulrey et al. 2019, Fig. 4")),
+        curve=list(draw_curve(shown.curve)),
         drift=None if served is None else draw_drift(served.station, served.path),
     )
 

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from lbacal.pages.chart import Chart, plot_charts
 from lbacal.pages.curve import draw_change, draw_curve, draw_ranking
 from lbacal.pages.finding import draw_finding, draw_station
-from lbacal.pages.investigation import plot_charts, plot_finding
 from lbacal_core.discovery.report import investigate
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_twin.campaign import simulate_campaign
@@ -44,26 +44,28 @@ def ask(faults: list[Fault]) -> dict[str, Any]:
 def draw_measured() -> None:
     own, tables = (question.ask(superterp()) for question in main_questions(superterp()))
     figures = {
-        "own": draw_curve(own, "Measured LOFAR curve against our sky"),
-        "tables": draw_curve(tables, "Measured LOFAR curve against the published tables"),
-        "ranking": draw_ranking(own),
-        "change": draw_change(own),
+        "own": list(draw_curve(own)),
+        "tables": list(draw_curve(tables)),
+        "ranking": [draw_ranking(own)],
+        "change": list(draw_change(own)),
     }
-    for name, figure in figures.items():
-        figure.savefig(IMAGES / f"measured-{name}.png", dpi=110)
+    for name, charts in figures.items():
+        plot_charts(charts).savefig(IMAGES / f"measured-{name}.png", dpi=100)
 
 
 def main() -> None:
     if SHARED.is_dir():
         draw_measured()
     spoiled = ask([IonosphericAbsorption(size=0.02), STEP])
-    figures = {one["cause"]: plot_finding(one) for one in spoiled["findings"]}
-    maps = draw_finding(spoiled["findings"][0])
-    figures["maps"] = plot_charts([maps["before 0"], maps["after 0"]])
+    figures: dict[str, list[Chart]] = {}
+    for one in spoiled["findings"]:
+        charts = draw_finding(one)
+        figures[one["cause"]] = [charts["course"], charts["law"]]
+        figures.setdefault("maps", [charts["before 0"], charts["after 0"]])
     odd = draw_station(ask([WorkingWeek(size=0.05)])["stations"][0])
-    figures["unexplained"] = plot_charts([chart for name, chart in odd.items() if name in ("structure", "spectrum")])
-    for name, figure in figures.items():
-        figure.savefig(IMAGES / f"investigation-{name}.png", dpi=100)
+    figures["unexplained"] = [odd["structure"], odd["spectrum"]]
+    for name, charts in figures.items():
+        plot_charts(charts).savefig(IMAGES / f"investigation-{name}.png", dpi=100)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from lbacal.pages.report import COLOURS, MARKERS, SETTINGS
+from lbacal.pages.chart import COLOURS
 from lbacal_core.antenna.ideal import ShortDipole
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.data.tables import read_columns, read_table
@@ -30,6 +30,7 @@ from lbacal_core.sky.sky_terms import (
     read_anchors,
     sky_terms,
 )
+from lbacal_paper.figures import MARKERS, SETTINGS
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
 from validation.machinery.tables import replace_tables, write_table

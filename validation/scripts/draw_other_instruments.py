@@ -15,7 +15,7 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from lbacal.pages.report import COLOURS, SETTINGS
+from lbacal.pages.chart import COLOURS
 from lbacal_core.antenna.ideal import ShortDipole
 from lbacal_core.antenna.model import AntennaModel
 from lbacal_core.audit.antennas import compare_paths
@@ -28,6 +28,7 @@ from lbacal_core.readers.source import average
 from lbacal_core.sky.names import load_sky
 from lbacal_core.sky.sky_terms import dipole_temperature
 from lbacal_core.spectra.spectra import Spectra
+from lbacal_paper.figures import SETTINGS
 from validation.machinery.tables import replace_tables, write_table
 
 DOCS = Path(__file__).parents[2] / "docs"

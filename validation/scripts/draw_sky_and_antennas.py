@@ -13,7 +13,7 @@ import healpy as hp
 import numpy as np
 from matplotlib.figure import Figure
 
-from lbacal.pages.report import COLOURS
+from lbacal.pages.chart import COLOURS
 from lbacal_core.antenna.model import directional_response
 from lbacal_core.antenna.names import load_antenna
 from lbacal_core.instrument.instrument import load_instrument

@@ -15,9 +15,9 @@ from lbacal.analysis.budget import ErrorBudget
 from lbacal.cli.main import app
 from lbacal.pages import investigation as investigation_page
 from lbacal.pages.budget import draw_budget
-from lbacal.pages.chart import Chart
+from lbacal.pages.chart import Chart, plot_charts
 from lbacal.pages.finding import draw_finding, draw_scores, draw_station, tell_finding
-from lbacal.pages.fit import average_residuals, draw_c, draw_fit, draw_page, plot_fit
+from lbacal.pages.fit import average_residuals, draw_c, draw_fit, draw_page
 from lbacal.pages.fit_summary import describe_error, explain_chi2, tabulate_curves
 from lbacal.pages.tables import align
 from lbacal_core.calibration.one_event import ErrorOfC
@@ -41,7 +41,7 @@ from tests.lbacal.cli.conftest import Lbacal
 
 FREQUENCY = np.arange(30.0, 81.0)
 C = np.full(51, 2e-5)
-CHARTS = {"X": [Chart("C, polarisation X", "frequency (MHz)", "C (µV per ADC unit)", [])]}
+CHARTS = [Chart("C, polarisation X", "frequency (MHz)", "C (µV per ADC unit)", [])]
 
 
 def report(curves: int) -> FitReport:
@@ -162,7 +162,7 @@ def test_residuals_of_every_scope_are_small_where_the_chain_is_right(
         # gains of events of 5 % in bins of a few events
         assert np.nanmedian(np.abs(one)) < 0.04
     charts = draw_fit(report, maps, Simulation(INSTRUMENT, sky))
-    c, residuals, noise, chi2 = charts["X"]
+    c, residuals, noise, chi2 = charts[::2]
     (line,) = [one for one in c.series if one.kind == "line" and one.name in OF_X]
     own = [curve.c for curve in report.curves if curve.dipole == "X"]
     np.testing.assert_allclose(line.y, 1e6 * np.nanmedian(own, axis=0))
@@ -170,7 +170,7 @@ def test_residuals_of_every_scope_are_small_where_the_chain_is_right(
     np.testing.assert_array_equal(residuals.series[0].image, 100 * maps["X"])
     assert [one.name for one in noise.series] == ["sky, mean over LST", "N_LNA", "N_RCU", "N_ADC"]
     assert {"noise alone", "sky and pattern free", "expected of noise, 95 %"} <= {one.name for one in chi2.series}
-    plot_fit(charts).canvas.draw()
+    plot_charts(charts).canvas.draw()
 
 
 OF_X = ("X: median of 6 curves", "X: median of 2 curves", "array X")
@@ -181,7 +181,7 @@ def test_a_fit_without_any_curve_is_drawn_empty(spectra: Spectra, sky: SkyPower)
     report = calibrate(few, Simulation(INSTRUMENT), "antenna")
     assert all(curve.c is None for curve in report.curves)
     maps = average_residuals(few, report.curves, Simulation(INSTRUMENT, sky))
-    plot_fit(draw_fit(report, maps, Simulation(INSTRUMENT, sky))).canvas.draw()
+    plot_charts(draw_fit(report, maps, Simulation(INSTRUMENT, sky))).canvas.draw()
 
 
 def test_flagged_channels_are_marked_and_bands_hold_both_errors() -> None:
@@ -217,11 +217,20 @@ def test_the_table_has_a_row_a_term_and_their_sum_in_quadrature():
 
 
 def test_the_figure_stacks_every_term_below_the_total():
-    figure = draw_budget(Budget(FREQUENCY_OF_BUDGET, TERMS), TERMS)
-    assert [axes.get_title() for axes in figure.axes] == ["polarisation X", "polarisation Y"]
-    (total,) = figure.axes[0].lines
-    np.testing.assert_allclose(total.get_ydata()[0], 100 * np.hypot(0.11, 0.03))
-    assert len(figure.axes[0].collections) == len(TERMS)
+    charts = draw_budget(Budget(FREQUENCY_OF_BUDGET, TERMS), TERMS)
+    assert [chart.title for chart in charts] == ["polarisation X", "polarisation Y", "terms of the error of C"]
+    *terms, total = charts[0].series
+    np.testing.assert_allclose(total.y[0], 100 * np.hypot(0.11, 0.03))
+    assert [one.name for one in terms] == [term.name for term in TERMS]
+    np.testing.assert_array_equal([terms[0].low, terms[1].low, terms[1].high], [np.zeros(3), terms[0].high, total.y])
+
+
+def test_small_terms_of_a_budget_are_one_band_and_nothing_is_lost():
+    many = [BudgetTerm(f"term {k}", "a paper", {"X": np.full((1, 3), 0.01 * k)}) for k in range(1, 8)]
+    of_x, every = draw_budget(Budget(FREQUENCY_OF_BUDGET, many), many)
+    assert [one.name for one in of_x.series] == ["term 7", "term 6", "term 5", "term 4", "term 3", "2 more", "total"]
+    np.testing.assert_allclose(of_x.series[-1].y, 100 * np.sqrt(sum((0.01 * k) ** 2 for k in range(1, 8))))
+    assert len(every.rows) == 1 + len(many)
 
 
 @pytest.mark.long
@@ -388,7 +397,8 @@ def investigate_curve(curve, folder):
 @pytest.mark.long
 def test_an_lst_curve_has_a_page_with_its_figures_its_sentence_and_what_would_decide(tmp_path):
     report, page, printed = investigate_curve(measured_curve(), tmp_path)
-    assert page.count("data:image/png;base64,") == 3
+    assert page.count("<svg ") == 2 * 3 + 1 + 2
+    assert "data:image" not in page
     assert report["sentence"].split(":")[0] in page
     assert "not excluded" in page
     assert report["findings"][0]["evidence"]["confirm"] in page
