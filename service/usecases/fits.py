@@ -243,7 +243,7 @@ class Fits:
         is_few = not rest or (is_whole and len(rest) <= LARGEST_REST * (len(rest) + len(examined)))
         return Outcome(examined, rest) if np.all(seen) and is_few else None
 
-    def fit_causes(self, spectra: Spectra, model: Model, *, are_sizes_known: bool = False) -> FittedCauses:
+    def fit_causes(self, spectra: Spectra, model: Model) -> FittedCauses:
         """Fit the sizes of the adopted causes to all spectra of their stations, where these are enough for any fit.
 
         The last fit of a station's causes stays in memory: the next part is another scope of the same spectra.
@@ -253,22 +253,11 @@ class Fits:
 
         def fit() -> FittedCauses:
             simulation = self.simulation.with_causes(enough).smeared(spectra)
-            return fit_causes(spectra, simulation, are_sizes_known=are_sizes_known)
+            return fit_causes(spectra, simulation)
 
         if len(stations) != 1:
             return fit()
-        return self.fitted.get((spectra.digest(), hash_covariates(spectra), enough.id, are_sizes_known), fit)
-
-    def foresee(
-        self, whole: FittedCauses, wanted: Wanted, before: Sequence[Version], budget: Budget, neighbours: Neighbours
-    ) -> list[Version]:
-        """The versions that `make` will make with a cause more, from those before, whose budget their errors have.
-
-        Chain and statistical error are those of a fit. The budget is not computed again, and what the error of the
-        size does to C is taken in proportion to what the size does.
-        """
-        pieces = self._fit_pieces(whole, wanted, neighbours, budget, before)
-        return [version for versions, *_ in pieces for version in versions]
+        return self.fitted.get((spectra.digest(), hash_covariates(spectra), enough.id), fit)
 
     def make(
         self, whole: FittedCauses, wanted: Wanted, neighbours: Neighbours = ALONE, budget: Budget | None = None
@@ -299,7 +288,6 @@ class Fits:
         wanted: Wanted,
         neighbours: Neighbours,
         budget: Budget | None,
-        before: Sequence[Version] = (),
     ) -> Iterator[tuple[list[Version], FitReport, Wanted]]:
         """Fit the pieces of a window, that with the most spectra first: it has the budget of all, and may lend."""
         made, named, instrument = self.clock(), _name_sizes(whole, wanted, neighbours), self.simulation.instrument
@@ -313,8 +301,7 @@ class Fits:
                 budget = self._budget(of_piece)
                 neighbours = neighbours if budget.polarisations else ALONE
             beside = neighbours.beside(during.since, during.until)
-            plain = [curve for one in before if one.window == (during.since, during.until) for curve in one.curves]
-            report = add_budget(of_piece.fit(wanted.scope, plain, [one for _, one in beside]), budget)
+            report = add_budget(of_piece.fit(wanted.scope, beside=[one for _, one in beside]), budget)
             neighbours = neighbours.and_also(KeptWindow(during.since, during.until, report.lines))
             yield _versions(recorded, report, during, made, named, beside, instrument), report, during
 
