@@ -147,14 +147,18 @@ def _investigate(use: Factory, _target: str, body: bodies.InvestigationBody, by:
     return Foreseen([sentence], lambda: use.investigations.request(body, by))
 
 
+def _get_job(use: Factory, target: str) -> Job:
+    return use.database.look(lambda stores: stores.jobs.get(_number(target)))
+
+
 def _cancel(use: Factory, target: str, body: bodies.ReasonBody, by: str) -> Foreseen:
-    job = use.jobs.get(_number(target))
+    job = _get_job(use, target)
     sentence = f"Job {job.number} ({job.kind}, {job.state}) stops; what it has stored stays."
     return Foreseen([sentence], lambda: use.jobs.cancel(job.number, by, body.reason))
 
 
 def _retry(use: Factory, target: str, body: bodies.ReasonBody, by: str) -> Foreseen:
-    job = use.jobs.get(_number(target))
+    job = _get_job(use, target)
     if job.kind == "refit":
         return _refit(use, target, _again(job, bodies.RefitBody, body.reason), by)
     if job.kind == "investigation":

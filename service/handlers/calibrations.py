@@ -75,7 +75,7 @@ def get_budget(request: Request, use: UseCases, digest: InPath) -> Response:
     The systematic terms that curves share: name, source and, by polarisation, vectors of d ln C along frequency,
     one standard deviation each, independent of each other. A term of the same name is the same for all.
     """
-    return answer(request, use.calibrations.budget(digest), cache=IMMUTABLE)
+    return answer(request, use.database.look(lambda stores: stores.budgets.get(digest)), cache=IMMUTABLE)
 
 
 @reads(router, "/v1/calibrations/edges", wire.EdgesAnswer, takes_turn=True)
@@ -114,7 +114,7 @@ def list_versions(
     """
     is_everything = (scope, station, antenna, dipole) == (None, None, None, None)
     wanted = None if is_everything else Scope(station, antenna, dipole)
-    versions = use.calibrations.search(wanted, status, cursor, limit)
+    versions = use.database.look(lambda stores: stores.versions.search(wanted, status, cursor, limit))
     describe_version = partial(fill_answer, wire.VersionAnswer)
     return answer(request, page_of("calibrations", versions, limit, describe_version, attrgetter("id")))
 
@@ -132,7 +132,7 @@ def get_version(
     columns of `effective`, the window of the fit as interval.
     """
     kind = choose_format(format, request.headers.get("accept"))
-    version = use.calibrations.get(version_id)
+    version = use.database.look(lambda stores: stores.versions.get(version_id))
     chains = {dipole: chain.as_dict() for dipole, chain in version.chains.items()}
     more = {"reference": chains or None, "anomalies": version.anomalies.as_dict()}
     content = {**fill_answer(wire.VersionAnswer, version), "curves": version.payload, **more}
@@ -147,7 +147,7 @@ def get_diff(request: Request, use: UseCases, first: InPath, second: InPath) -> 
     Per dipole the change of C from the first to the second that one and the same path is served, as a fraction and in
     standard deviations.
     """
-    a, b = use.calibrations.pair(first, second)
+    a, b = use.database.look(lambda stores: (stores.versions.get(first), stores.versions.get(second)))
     return answer(request, describe_diff(a, b), cache=_keeping(first, second))
 
 

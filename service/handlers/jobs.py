@@ -55,14 +55,14 @@ def list_jobs(
 
     Newest first; `next` is the cursor of the next page.
     """
-    jobs = use.jobs.newest(before=cursor, limit=limit)
+    jobs = use.database.look(lambda stores: stores.jobs.newest(before=cursor, limit=limit))
     return answer(request, page_of("jobs", jobs, limit, describe_job, attrgetter("number")))
 
 
 @reads(router, "/v1/jobs/{number}", JobAnswer, 404)
 def get_job(request: Request, use: UseCases, number: JobNumber) -> Response:
     """Get one job."""
-    return answer(request, describe_job(use.jobs.get(number)))
+    return answer(request, describe_job(use.database.look(lambda stores: stores.jobs.get(number))))
 
 
 @acts(router, "/v1/jobs/{number}/cancel", ReasonBody, JobAnswer, 404, 409, status=200, is_body_required=False)

@@ -41,7 +41,7 @@ def list_tags(
 
     In order of their names; `next` is the cursor of the next page.
     """
-    tags = use.tags.after(cursor, limit)
+    tags = use.database.look(lambda stores: stores.tags.after(cursor, limit))
     return answer(request, page_of("tags", tags, limit, partial(fill_answer, TagAnswer), attrgetter("name")))
 
 

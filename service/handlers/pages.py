@@ -183,7 +183,8 @@ def _draw_terms(use: Factory, curves: Sequence[CalibrationCurve]) -> Chart | Non
         digest = None if curve.covariance is None else curve.covariance.budget
         if digest is not None and curve.c is not None:
             c, stat, _ = values_of(curve)
-            return draw_terms(parse_budget(use.calibrations.budget(digest)), stat / c)
+            with use.database.read() as stores:
+                return draw_terms(parse_budget(stores.budgets.get(digest)), stat / c)
     return None
 
 
@@ -205,7 +206,7 @@ def _count_waiting(
 
 @router.get("/jobs")
 def show_jobs(request: Request, use: UseCases, span: InSpan) -> Response:
-    jobs = [job for job in use.jobs.newest(limit=200) if span.has(job.created)]
+    jobs = [job for job in use.database.look(lambda stores: stores.jobs.newest(limit=200)) if span.has(job.created)]
     is_open = any(job.state in ("queued", "running") for job in jobs)
     state, nightly = use.status.look(), use.settings.nightly_utc
     return _page(
@@ -217,7 +218,7 @@ def show_jobs(request: Request, use: UseCases, span: InSpan) -> Response:
 
 @router.get("/jobs/{number}")
 def show_job(request: Request, use: UseCases, number: JobNumber, span: InSpan) -> Response:
-    job, records = use.jobs.get(number), use.jobs.records(number)
+    job, records = use.database.look(lambda stores: (stores.jobs.get(number), stores.jobs.records(number)))
     is_open = job.state in ("queued", "running")
     return _page(request, use, span, "job.html", "/jobs", job=job, records=records, is_open=is_open, now=use.clock())
 
@@ -270,6 +271,7 @@ def show_models(request: Request, use: UseCases, span: InSpan) -> Response:
 def show_station(request: Request, use: UseCases, station: InPath, span: InSpan, csv: CsvQuery = "") -> Response:
     select_paths(use.instrument, station, None, None)
     series, life = use.drift.series(Scope(station)), use.lives.of(station)
+    years = [str(year.matrix) for year in use.database.look(lambda stores: stores.drift.years([station]))]
     at = _last_shown(use, span)
     in_effect = dict([] if at is None else _find_stations(use, at)).get(station, [])
     figures = {
@@ -279,7 +281,7 @@ def show_station(request: Request, use: UseCases, station: InPath, span: InSpan,
         "terms": _draw_terms(use, in_effect),
         "time": charts.draw_path(life, series, span, None, ""),
         **_draw_life(use, life, series, span),
-        "matrix": charts.draw_matrix(station, use.drift.matrix(station), span),
+        "matrix": charts.draw_matrix(station, years, span),
     }
     return _page(
         request, use, span, "station.html", "/", figures, csv, station=station, life=life, at=at,
@@ -291,7 +293,8 @@ def show_station(request: Request, use: UseCases, station: InPath, span: InSpan,
 def _draw_life(use: Factory, life: Life, series: DriftSeries, span: Span) -> dict[str, Chart]:
     """What happened, and what was recorded beside it, on one axis of time."""
     days = charts.find_days(life, series, span)
-    environment = use.lives.environment(*(round(charts.US * at) for at in days))
+    since, until = (round(charts.US * at) for at in days)
+    environment = use.database.look(lambda stores: stores.spectra.covariates_by_month(since, until))
     return {"life": charts.draw_life(life, days, span, use.clock()), **charts.draw_environment(environment, days)}
 
 
@@ -377,8 +380,12 @@ def _find_predecessor(use: Factory, found: CurveInEffect) -> CalibrationCurve | 
 def show_calibration(
     request: Request, use: UseCases, version_id: InPath, span: InSpan, against: str = "", csv: CsvQuery = ""
 ) -> Response:
-    version, promotions, confirmed = use.calibrations.get_with_promotions(version_id)
-    other = use.calibrations.get(against) if against else None
+    with use.database.read() as stores:
+        version = stores.versions.get(version_id)
+        promotions = stores.ledger.of_calibration(version.id, PROMOTIONS_SHOWN)
+        confirmed = stores.versions.confirmation(version.id)
+        other = stores.versions.get(against) if against else None
+        others = [one for one in stores.versions.search(version.scope, None, "", 100) if one.id != version.id]
     fitted = [curve for curve in version.curves if curve.c is not None]
     figures: dict[str, Chart | None] = {
         "curve": draw_curves(f"C of {name_scope(version.scope)}", fitted, _published(use)) if fitted else None,
@@ -389,21 +396,19 @@ def show_calibration(
         if first is not None:
             names = (f"version {against[:8]}", f"this version, {curve.dipole}")
             figures[f"difference-{curve.dipole}"] = draw_difference(first, curve, names)
-    scope = version.scope
-    others = [one for one in use.calibrations.search(scope, None, "", 100) if one.id != version.id]
     return _page(
         request, use, span, "calibration.html", "/", figures, csv, version=version, promotions=promotions,
         chains=_rows_of_chains(version), confirmed=confirmed, other=other, others=others[-MOST_OTHERS:],
-        downloads=[name for name in FORMATS if name != "nuradio" or scope.antenna is not None],
+        downloads=[name for name in FORMATS if name != "nuradio" or version.scope.antenna is not None],
     )  # fmt: skip
 
 
-MOST_OTHERS = 30
+MOST_OTHERS, PROMOTIONS_SHOWN = 30, 100
 
 
 @router.get("/investigations/{name}")
 def show_investigation(request: Request, use: UseCases, name: InPath, span: InSpan) -> Response:
-    found = use.investigations.get(name)
+    found = use.database.look(lambda stores: stores.investigations.get(name))
     changes = {
         by.ref.rpartition("#")[2]: one
         for one in use.changes.list_all(found.station)

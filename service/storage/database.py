@@ -167,6 +167,11 @@ class Database:
         with self._transaction(self._readers) as connection:
             yield Stores(connection)
 
+    def look(self, question: Callable[[Stores], Answer]) -> Answer:
+        """The answer to a question that needs no more than what stores return; see `read`."""
+        with self.read() as stores:
+            return question(stores)
+
     def ask(self, question: Callable[[Stores], Answer]) -> Answer:
         """The answer to a question of a statement or two, which needs no transaction: a round trip each.
 

@@ -270,7 +270,7 @@ class JobStore(Store):
             for row in rows
         ]
 
-    def newest(self, *, before: int | None, limit: int) -> list[Job]:
+    def newest(self, *, before: int | None = None, limit: int = 100) -> list[Job]:
         """Jobs from the newest back, those with a number below `before`."""
         statement = select(job.c.id).order_by(job.c.id.desc()).limit(limit)
         if before is not None:

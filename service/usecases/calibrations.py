@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 from lbacal.instants import format_instant
 from lbacal_core.calibration.spreads import ToldCurve, tell_reference
@@ -18,9 +17,8 @@ from service.errors import NotInEffectError
 from service.storage.changes import Epoch, KeptChange, concerns, split_epochs
 from service.storage.database import Database
 from service.storage.ledger import Neighbours
-from service.storage.versions import MICROSECONDS, Examined, Version
+from service.storage.versions import MICROSECONDS, Version
 
-PROMOTIONS_SHOWN = 100
 VERSIONS_REMEMBERED = 1200
 """Versions, and curves as texts, that stay in memory: those of all paths of the Superterp in two years, 40 MB."""
 BUDGETS_REMEMBERED = 100
@@ -159,9 +157,9 @@ class Calibrations:
         if len(answers) < len(paths) and (hold or not answers):
             asked, answers, held = self._look_around(at, paths, as_of, hold=hold)
         names = (str(promotion.calibration) for promotion in answers.values())
-        versions = self.versions.get_many(names, self._load_versions)
+        versions = self.versions.get_many(names, lambda ids: self.database.look(lambda s: s.versions.get_many(ids)))
         named = (name for version in versions.values() for name in version.budgets)
-        budgets = self.budgets.get_many(named, self._load_budgets)
+        budgets = self.budgets.get_many(named, lambda ids: self.database.look(lambda s: s.budgets.get_texts(ids)))
         curves = [
             curve
             for path in paths
@@ -195,14 +193,6 @@ class Calibrations:
             raise NotInEffectError(_explain_gap(missing, found[missing[0]], at))
         return asked, decisive | held, held
 
-    def _load_versions(self, names: Sequence[str]) -> Mapping[str, Version]:
-        with self.database.read() as stores:
-            return stores.versions.get_many(names)
-
-    def _load_budgets(self, names: Sequence[str]) -> Mapping[str, str]:
-        with self.database.read() as stores:
-            return stores.budgets.get_texts(names)
-
     def write(
         self, curves: Iterable[CurveInEffect], write: Callable[[CurveInEffect], WrittenCurve]
     ) -> list[WrittenCurve]:
@@ -225,33 +215,6 @@ class Calibrations:
             changes = {math.ceil(seconds * MICROSECONDS) for seconds in cables.get(station, ())}
             found[station] = sorted(everywhere | edges.get(station, set()) | changes)
         return found
-
-    def budget(self, digest: str) -> dict[str, Any]:
-        """The systematic terms that curves share, as JSON values."""
-        with self.database.read() as stores:
-            return stores.budgets.get(digest)
-
-    def get(self, version_id: str) -> Version:
-        """Get a version by its id."""
-        with self.database.read() as stores:
-            return stores.versions.get(version_id)
-
-    def get_with_promotions(self, version_id: str) -> tuple[Version, list[Promotion], Examined | None]:
-        """A version, its newest promotions, at most `PROMOTIONS_SHOWN`, and the fit that confirmed it last."""
-        with self.database.read() as stores:
-            version = stores.versions.get(version_id)
-            promotions = stores.ledger.of_calibration(version.id, PROMOTIONS_SHOWN)
-            return version, promotions, stores.versions.confirmation(version.id)
-
-    def pair(self, first: str, second: str) -> tuple[Version, Version]:
-        """Two versions, to be compared."""
-        with self.database.read() as stores:
-            return stores.versions.get(first), stores.versions.get(second)
-
-    def search(self, scope: Scope | None, status: str | None, cursor: str, limit: int) -> list[Version]:
-        """Versions in order of id, after a cursor."""
-        with self.database.read() as stores:
-            return stores.versions.search(scope, status, cursor, limit)
 
 
 def _list_curves(

@@ -260,11 +260,6 @@ class Drift:
     shown: Remembered[str, Any]
     """What the page of the drift shows."""
 
-    def matrix(self, station: str) -> list[str]:
-        """Every path of a station beside its median, one JSON text a year."""
-        with self.database.read() as stores:
-            return [str(year.matrix) for year in stores.drift.years([station])]
-
     def means_of_paths(self, station: str) -> list[MeanC]:
         """Band means of C of the newest versions in effect of a station's paths, path by path."""
         paths = select_paths(self.instrument, station, None, None)

@@ -6,7 +6,7 @@ same inputs are investigated once; whoever asks again is told the id of the repo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -118,16 +118,6 @@ class Investigations:
     @property
     def _policy(self) -> Policy:
         return Policy(judge=self.judge)
-
-    def get(self, name: str) -> Investigation:
-        """One investigation, by its id or by as many of its first digits as no other begins with."""
-        with self.database.read() as stores:
-            return stores.investigations.get(name)
-
-    def newest(self, *, before: str | None, station: str | None, limit: int) -> Sequence[Investigation]:
-        """List investigations, newest first."""
-        with self.database.read() as stores:
-            return stores.investigations.newest(before=before, station=station, limit=limit)
 
     def news(self) -> list[StationNews]:
         """The newest investigation of every station against the one before."""

@@ -14,7 +14,7 @@ from lbacal_core.errors import BadInputError
 from lbacal_core.simulation.simulation import Simulation
 from service.errors import ConflictError
 from service.storage.database import Database, Stores
-from service.storage.jobs import Job, Order, Part, Record
+from service.storage.jobs import Job, Order, Part
 from service.storage.sums import KeptPiece, Sums, Told, read_pieces
 from service.storage.versions import Examined, Version
 from service.usecases.calibrations import select_paths
@@ -336,25 +336,10 @@ def describe_part(
 
 @dataclass(frozen=True)
 class Jobs:
-    """A requested job and its progress."""
+    """Stops jobs."""
 
     database: Database
     clock: Callable[[], Instant]
-
-    def get(self, number: int) -> Job:
-        """Get one job."""
-        with self.database.read() as stores:
-            return stores.jobs.get(number)
-
-    def records(self, number: int) -> list[Record]:
-        """The records of the parts of a job."""
-        with self.database.read() as stores:
-            return stores.jobs.records(number)
-
-    def newest(self, *, before: int | None = None, limit: int = 100) -> list[Job]:
-        """List jobs, newest first."""
-        with self.database.read() as stores:
-            return stores.jobs.newest(before=before, limit=limit)
 
     def cancel(self, number: int, by: str, reason: str | None = None) -> Job:
         """Stop a job; what it has already stored stays."""

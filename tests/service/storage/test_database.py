@@ -414,7 +414,7 @@ def test_a_backup_while_somebody_writes_is_whole(factory: Factory, tmp_path: Pat
     writer.start()
     try:
         for k in range(5):
-            before = len(factory.keys.list())
+            before = len(factory.database.look(lambda stores: stores.keys.all()))
             assert copy_sqlite(factory.settings.sqlalchemy_url, tmp_path / f"{k}.sqlite") > 0
             with closing(sqlite3.connect(tmp_path / f"{k}.sqlite")) as copied:
                 assert copied.execute("SELECT count(*) FROM api_key").fetchone()[0] >= before

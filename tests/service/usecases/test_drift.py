@@ -159,7 +159,8 @@ def test_the_array_is_never_told_from_months_that_a_station_had_before(measured_
 
 
 def test_a_year_of_the_matrix_holds_every_path_beside_the_median(measured_of_months: Factory) -> None:
-    first, second = (json.loads(year) for year in measured_of_months.drift.matrix("CS001"))
+    kept = measured_of_months.database.look(lambda stores: stores.drift.years(["CS001"]))
+    first, second = (json.loads(str(one.matrix)) for one in kept)
     assert first["paths"] == [[a, d] for a in range(3) for d in "XY"]
     assert (first["months"][0], second["months"][0], np.shape(second["values"])) == ("2014-01", "2015-01", (6, 11))
     assert np.median(first["values"], axis=0) == pytest.approx(np.zeros(11), abs=1e-6)
