@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby
@@ -47,14 +46,14 @@ from service.handlers.request import (
     require_read,
 )
 from service.page import charts
-from service.page.render import Figure, find_asset, format_day, name_scope, render_page, render_part
+from service.page.render import Figure, find_asset, name_scope, render_page, render_part
 from service.page.span import Span
 from service.storage.alarms import ACKNOWLEDGED, ENDED, OPEN, AlarmsAsked
 from service.storage.changes import PROPOSED, KeptChange
 from service.storage.models import Investigation
-from service.storage.versions import MeanC, Version
+from service.storage.versions import Version
 from service.usecases.calibrations import CurveInEffect, select_paths
-from service.usecases.drift import DriftSeries, Story
+from service.usecases.drift import DriftSeries
 from service.usecases.life import Life
 from service.usecases.models import list_stopped
 from service.usecases.status import State, look_over, tell_problems
@@ -236,14 +235,12 @@ def _tell_drift(use: Factory, span: Span) -> tuple[Chart, str]:
     """The part of the page that is the same for everybody until the next daily run."""
     whole, stations = use.drift.overall()
     series = [*stations, *([whole] if len(stations) > 1 else [])]
-    stories = use.drift.stories(series)
-    rows = [_version_rows(one, stories) for one in series]
-    points = [[row["point"] for row in of_one] for of_one in rows]
+    points = use.drift.points(series)
     chart = charts.draw_drift(series, points, span)
     return chart, render_part(
         "drift_main.html", steps=[one for one in whole.steps if span.has(one.date)][:STEPS_SHOWN], q=span.query,
         figure=Figure(chart, span.with_more(csv="drift")),
-        rows=[row for of_one in rows for row in of_one if span.has(row["since"])],
+        points=[one for of_scope in points for one in of_scope if span.has(one.mean.since)],
         trends=[(name_scope(one.scope), one.slope) for one in series if one.slope is not None],
         threshold=whole.threshold_sigma, frequency_mhz=use.instrument.frequency_mhz,
     )  # fmt: skip
@@ -279,7 +276,7 @@ def show_station(request: Request, use: UseCases, station: InPath, span: InSpan,
         if in_effect
         else None,
         "terms": _draw_terms(use, in_effect),
-        "time": charts.draw_path(life, series, span, None, ""),
+        "time": charts.draw_path(life, series, *use.drift.points([series]), span, None, ""),
         **_draw_life(use, life, series, span),
         "matrix": charts.draw_matrix(station, years, span),
     }
@@ -331,7 +328,7 @@ def show_path(
         found, gap = None, str(error)
     address = f"/paths/{station}/{antenna}/{dipole}"
     figures = {
-        "time": charts.draw_path(life, series, span, instant, address),
+        "time": charts.draw_path(life, series, *use.drift.points([series]), span, instant, address),
         **_draw_life(use, life, series, span),
         **(_draw_date(use, path, found) if found is not None else {}),
     }
@@ -445,33 +442,3 @@ def _rows_of_chains(version: Version) -> list[dict[str, Any]]:
             for cable, one in spreads.items()
         ] or [{**of_chain, "cable": "", "paths": 0, "offset": None, "spread": None}]
     return rows
-
-
-def _version_rows(series: DriftSeries, stories: Mapping[tuple[str, str], Story]) -> list[dict[str, Any]]:
-    """Versions of a scope in order of dipole and time, each against the first of its dipole."""
-    rows = []
-    ordered = sorted(series.versions, key=lambda version: (version.dipole, version.since, version.calibration))
-    for dipole, of_dipole in groupby(ordered, key=lambda version: version.dipole):
-        versions = list(of_dipole)
-        for version in versions:
-            story = stories[version.calibration, dipole]
-            address, ratio = f"/calibrations/{version.calibration}", 1.0 + story.change
-            window = version.since, version.until
-            point = charts.VersionPoint(dipole, *window, ratio, ratio * version.c_sigma / version.c, address)
-            rows.append(
-                {
-                    "name": name_scope(series.scope), "dipole": dipole, "calibration": version.calibration,
-                    "window": f"{format_day(version.since)} to {format_day(version.until)}", "since": version.since,
-                    "c": version.c, "c_sigma": version.c_sigma, "change": story.change, "point": point,
-                    "change_sigma": _sigma_of_change(version, versions[0], story.change), "why": story.words,
-                    "url": address,
-                }
-            )  # fmt: skip
-    return rows
-
-
-def _sigma_of_change(version: MeanC, first: MeanC, change: float) -> float:
-    """Error of the change from the first; 0 of the first itself."""
-    if version.calibration == first.calibration:
-        return 0.0
-    return (1.0 + change) * math.hypot(version.c_sigma / version.c, first.c_sigma / first.c)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -35,8 +34,7 @@ from lbacal_core.errors import name_path
 from lbacal_core.grids import WITHIN_1_SIGMA, Floats
 from service.page.span import Span
 from service.storage.changes import KeptChange
-from service.storage.versions import MeanC
-from service.usecases.drift import DriftSeries, MonthPoint
+from service.usecases.drift import DriftSeries, MonthPoint, VersionPoint
 from service.usecases.life import Life
 from service.usecases.status import StationState
 
@@ -142,28 +140,6 @@ def draw_drift(series: Sequence[DriftSeries], versions: Sequence[Sequence[Versio
     )
 
 
-@dataclass(frozen=True)
-class VersionPoint:
-    """C of a version over that of the first of its polarisation, with its error; its window, and where it is shown."""
-
-    dipole: str
-    since: Instant
-    until: Instant
-    ratio: float
-    sigma: float
-    address: str
-
-
-def points_of(means: Iterable[MeanC], span: Span) -> list[VersionPoint]:
-    """Versions of a scope, each polarisation over its first."""
-    found, first = [], dict[str, float]()
-    for one in sorted(means, key=lambda mean: (mean.since, mean.calibration)):
-        ratio = one.c / first.setdefault(one.dipole, one.c)
-        address = f"/calibrations/{one.calibration}{span.query}"
-        found.append(VersionPoint(one.dipole, one.since, one.until, ratio, ratio * one.c_sigma / one.c, address))
-    return found
-
-
 def _draw_months(
     one: DriftSeries, colour: int, versions: Sequence[VersionPoint], span: Span, address: str = ""
 ) -> Iterator[Series]:
@@ -185,18 +161,16 @@ def _draw_months(
         at_line, values = [t for t, _ in lines], [value for _, value in lines]
         yield Series(LINE, at_line, values, name=f"{name}: season and slope", colour=colour, style=1)
     for version in versions:
-        if not (span.has(version.since) or span.has(version.until)):
+        of, ratio = version.mean, 1.0 + version.change
+        if not (span.has(of.since) or span.has(of.until)):
             continue
         # one beside the other: polarisations share their windows
-        share = 0.48 if version.dipole == "X" else 0.52
-        middle_of = (version.since + share * (version.until - version.since)) / US
-        title = f"{name} {version.dipole}, version of {_days(version.since, version.until)}: {version.ratio:.4f}"
-        title += f" ± {version.sigma:.4f}"
-        ends = [version.ratio - version.sigma], [version.ratio + version.sigma]
-        colour_of = OF_DIPOLE.get(version.dipole, INK)
+        middle_of = (of.since + (0.48 if of.dipole == "X" else 0.52) * (of.until - of.since)) / US
+        sigma, links = ratio * of.c_sigma / of.c, [f"/calibrations/{of.calibration}{span.query}"]
+        titles = [f"{name} {of.dipole}, version of {_days(of.since, of.until)}: {ratio:.4f} ± {sigma:.4f}"]
         yield Series(
-            POINTS, [middle_of], [version.ratio], *ends, f"version, {version.dipole}", colour_of, titles=[title],
-            links=[version.address],
+            POINTS, [middle_of], [ratio], [ratio - sigma], [ratio + sigma], f"version, {of.dipole}",
+            OF_DIPOLE.get(of.dipole, INK), titles=titles, links=links,
         )  # fmt: skip
 
 
@@ -205,9 +179,11 @@ def _days(since: Instant | None, until: Instant | None) -> str:
     return f"{begin} to {end}"
 
 
-def draw_path(life: Life, drift: DriftSeries, span: Span, at: Instant | None, address: str) -> Chart:
+def draw_path(
+    life: Life, drift: DriftSeries, versions: Sequence[VersionPoint], span: Span, at: Instant | None, address: str
+) -> Chart:
     """C over time with its error, the versions, and where what changed: a click on a month asks for C on that date."""
-    parts = list(_draw_months(drift, 2, points_of(drift.versions, span), span, address))
+    parts = list(_draw_months(drift, 2, versions, span, address))
     marks = [one for one in life.changes if one.ended is None]
     titles = [
         f"{name_members(one)} changed on {format_instant(one.change.date)[:10]} ({one.decision})" for one in marks
