@@ -12,8 +12,7 @@ from fastapi import APIRouter, Query, Request, Response
 
 from lbacal.instants import format_instant, parse_at, parse_instant
 from lbacal.tables import write_format
-from lbacal_core.calibration.spreads import ToldCurve
-from lbacal_core.curves.curves import STATUSES
+from lbacal_core.curves.curves import OK, STATUSES, UNCERTAIN
 from lbacal_core.curves.validity import Scope
 from service.factory import Factory
 from service.handlers.request import IMMUTABLE, REVALIDATE, AntennaQuery, InPath, Limit, UseCases, answer
@@ -160,17 +159,29 @@ def write_json(use: Factory, found: InEffect, curves: Sequence[CurveInEffect], k
 
 
 def _write_curve(curve: CurveInEffect) -> WrittenCurve:
-    told = curve.told
-    covariance = told.curve.covariance
-    text = to_json(_describe_curve(curve, told))
-    return WrittenCurve(text, None if covariance is None else covariance.budget)
+    covariance = curve.told.curve.covariance
+    return WrittenCurve(to_json(_describe_curve(curve)), None if covariance is None else covariance.budget)
 
 
-def _describe_curve(curve: CurveInEffect, told: ToldCurve) -> dict[str, Any]:
-    epoch = answers.describe_stretch(curve.epoch.start, curve.epoch.end, because=curve.epoch.because)
-    return answers.describe_curve_in_effect(
-        told, curve.chain, curve.promotion, curve.trace, curve.changed, epoch, curve.why, is_held=curve.is_held
-    )
+def _describe_curve(curve: CurveInEffect) -> dict[str, Any]:
+    """A curve as in fit.json, as the path is served it, with the version and the scope that answered."""
+    told, chain, promotion = curve.told, curve.chain, curve.promotion
+    held = "held: nothing is in effect, the nearest in time answers" if curve.is_held else None
+    reasons = [text for text in (held, curve.changed, told.reason) if text]
+    return {
+        **told.curve.as_dict(),
+        "calibration": promotion.calibration,
+        "answered_by": promotion.scope.level,
+        "factor": told.factor.tolist(),
+        "flag": [UNCERTAIN if reasons and flag == OK else flag for flag in told.curve.flags.tolist()],
+        "flag_reason": "; ".join(reasons) or None,
+        "reference": None if chain is None else answers.describe_reference(chain, told.cable),
+        "valid": answers.describe_stretch(promotion.valid_from, promotion.valid_to),
+        "held": curve.is_held,
+        "trace": [fill_answer(wire.TraceAnswer, one, promotion=one.number) for one in curve.trace],
+        "epoch": fill_answer(wire.EpochAnswer, curve.epoch),
+        "why": curve.why,
+    }
 
 
 def _keeping(*ids: str) -> str:

@@ -34,14 +34,14 @@ from service.storage.versions import BESIDE, BUDGET, Version, mean_over_band
 class CurveChange:
     """Change of C from one curve to another, shape (freq,): as a fraction, and in standard deviations of both.
 
-    NaN in a channel in which one of them has no value. `means` are those of C over the channels that both have, before
+    NaN in a channel in which one of them has no value. `mean_c` are those of C over the channels that both have, before
     and after, V per ADC unit.
     """
 
     frequency_mhz: Floats
     fraction: Floats
     sigma: Floats
-    means: tuple[float, float]
+    mean_c: tuple[float, float]
 
     @property
     def max_fraction(self) -> float:

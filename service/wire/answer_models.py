@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, create_model
 
 INSTANT = "an instant, which values of the service hold in microseconds"
 Moment = Annotated[str, INSTANT]
@@ -15,6 +15,14 @@ class Answer(BaseModel):
     """Base of all answers: nothing that is not told."""
 
     model_config = ConfigDict(strict=True, extra="forbid")
+
+
+def _page(noun: str, of: type[Answer], cursor: type[int | str], field: str = "") -> type[Answer]:
+    """A page of a list of answers, with the cursor of the next one."""
+    following: Any = (cursor | None, Field(description="cursor of the next page"))
+    items: dict[str, Any] = {field or noun: (list[of], ...)}  # type: ignore[valid-type] # an argument
+    name, told = f"{noun.capitalize()}Answer", f"A page of {noun}."
+    return create_model(name, __base__=Answer, __doc__=told, **items, next=following)
 
 
 class ReceiptAnswer(Answer):
@@ -48,11 +56,7 @@ class EventAnswer(Answer):
     env: dict[str, float | None] = Field(description="covariates by name")
 
 
-class EventsAnswer(Answer):
-    """A page of events."""
-
-    events: list[EventAnswer]
-    next: int | None = Field(description="cursor of the next page")
+EventsAnswer = _page("events", EventAnswer, int)
 
 
 class RefitAnswer(Answer):
@@ -80,13 +84,7 @@ class JobAnswer(Answer):
     created_at: Moment
 
 
-class JobsAnswer(Answer):
-    """A page of jobs."""
-
-    jobs: list[JobAnswer]
-    next: int | None = Field(description="cursor of the next page")
-
-
+JobsAnswer = _page("jobs", JobAnswer, int)
 # What answers about calibrations, drift and the state of the service look like, for the OpenAPI document.
 
 Level = Literal["array", "station", "antenna"]
@@ -212,14 +210,14 @@ class Stretch(Answer):
 
     model_config = ConfigDict(strict=True, extra="forbid", populate_by_name=True)
 
-    start: str | None = Field(alias="from")
-    end: str | None = Field(alias="to")
+    start: MomentOrNone = Field(alias="from")
+    end: MomentOrNone = Field(alias="to")
 
 
 class Validity(Stretch):
     """A half-open interval; `to` null is open."""
 
-    start: str = Field(alias="from")
+    start: Moment = Field(alias="from")
 
 
 class ReferenceAnswer(Answer):
@@ -358,11 +356,7 @@ class VersionAnswer(PathAnswer):
     inputs: dict[str, Any]
 
 
-class VersionsAnswer(Answer):
-    """A page of versions."""
-
-    calibrations: list[VersionAnswer]
-    next: str | None = Field(description="cursor of the next page")
+VersionsAnswer = _page("versions", VersionAnswer, str, "calibrations")
 
 
 class WholeVersionAnswer(VersionAnswer):
@@ -444,18 +438,8 @@ class TagAnswer(Answer):
     reason: str
 
 
-class TagsAnswer(Answer):
-    """A page of tags."""
-
-    tags: list[TagAnswer]
-    next: str | None = Field(description="cursor of the next page")
-
-
-class InvestigationsAnswer(Answer):
-    """A page of investigations."""
-
-    investigations: list[InvestigationLine]
-    next: str | None = Field(description="cursor of the next page")
+TagsAnswer = _page("tags", TagAnswer, str)
+InvestigationsAnswer = _page("investigations", InvestigationLine, str)
 
 
 class InvestigationAnswer(InvestigationLine):
@@ -588,11 +572,7 @@ class AlarmAnswer(PathAnswer):
     content: dict[str, Any]
 
 
-class AlarmsAnswer(Answer):
-    """A page of alarms."""
-
-    alarms: list[AlarmAnswer]
-    next: int | None = Field(description="cursor of the next page")
+AlarmsAnswer = _page("alarms", AlarmAnswer, int)
 
 
 class DatedAnswer(Answer):
@@ -702,11 +682,7 @@ class ModelLine(Answer):
     causes: list[AdoptedCauseAnswer]
 
 
-class ModelsAnswer(Answer):
-    """A page of models."""
-
-    models: list[ModelLine]
-    next: int | None = Field(description="cursor of the next page")
+ModelsAnswer = _page("models", ModelLine, int)
 
 
 class AdoptionAnswer(Answer):

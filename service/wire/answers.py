@@ -9,8 +9,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 
 from lbacal.instants import format_instant, format_optional
-from lbacal_core.calibration.spreads import ToldCurve
-from lbacal_core.curves.curves import OK, UNCERTAIN, list_numbers
+from lbacal_core.curves.curves import list_numbers
 from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.curves.validity import Instant, Promotion, Scope
 from service.errors import NotAcceptableError
@@ -30,6 +29,7 @@ def describe_scope(scope: Scope) -> dict[str, Any]:
 def fill_answer(answer: type[Answer], *values: Any, **given: Any) -> dict[str, Any]:
     """The fields of an answer, each from the first value that has it: what a store holds is named once, in the answer.
 
+    A value has its fields as attributes, or as keys.
     `made_at` is the instant `made` of a value, `alive` its `is_alive`, and a scope is told with its path. `given` are
     fields that a value has in another form, or not at all.
     """
@@ -37,19 +37,29 @@ def fill_answer(answer: type[Answer], *values: Any, **given: Any) -> dict[str, A
     of_scope = {} if scope is None else {"scope": scope.level, **describe_scope(scope)}
     known = of_scope | given
     return {
-        name: known[name] if name in known else _read_field(name, values, is_instant=INSTANT in field.metadata)
+        field.alias or name: known[name]
+        if name in known
+        else _read_field(name, values, is_instant=INSTANT in field.metadata)
         for name, field in answer.model_fields.items()
     }
 
 
 def _read_field(name: str, values: Sequence[Any], *, is_instant: bool) -> Any:
     names = name, name.removesuffix("_at"), f"is_{name}"
-    found = next(getattr(value, one) for value in values for one in names if hasattr(value, one))
+    told = (_find(value, one) for value in values for one in names)
+    found = next(one for one in told if one is not _ABSENT)
     if is_instant:
         return format_optional(found)
     if isinstance(found, np.ndarray):
         return list_numbers(found)
     return dict(found) if isinstance(found, Mapping) else list(found) if isinstance(found, tuple) else found
+
+
+_ABSENT = object()
+
+
+def _find(value: Any, name: str) -> Any:
+    return value.get(name, _ABSENT) if isinstance(value, Mapping) else getattr(value, name, _ABSENT)
 
 
 def describe_stretch(start: Instant | None, end: Instant | None, **also: Any) -> dict[str, Any]:
@@ -60,39 +70,6 @@ def describe_stretch(start: Instant | None, end: Instant | None, **also: Any) ->
 def describe_promotion(promotion: Promotion) -> dict[str, Any]:
     """Describe one line of the ledger."""
     return fill_answer(PromotionLine, promotion, promotion=promotion.number)
-
-
-def describe_curve_in_effect(
-    told: ToldCurve,
-    chain: ReferenceChain | None,
-    promotion: Promotion,
-    trace: Sequence[Promotion],
-    changed: str | None,
-    epoch: Mapping[str, Any],
-    why: str,
-    *,
-    is_held: bool,
-) -> dict[str, Any]:
-    """A curve as in fit.json, as the path is served it, with the version and the scope that answered."""
-    held = "held: nothing is in effect, the nearest in time answers" if is_held else None
-    reasons = [text for text in (held, changed, told.reason) if text]
-    return {
-        **told.curve.as_dict(),
-        "calibration": promotion.calibration,
-        "answered_by": promotion.scope.level,
-        "factor": told.factor.tolist(),
-        "flag": [UNCERTAIN if reasons and flag == OK else flag for flag in told.curve.flags.tolist()],
-        "flag_reason": "; ".join(reasons) or None,
-        "reference": None if chain is None else describe_reference(chain, told.cable),
-        "valid": describe_stretch(promotion.valid_from, promotion.valid_to),
-        "held": is_held,
-        "trace": [
-            {"scope": p.scope.level, "promotion": p.number, "calibration": p.calibration, "at": format_instant(p.at)}
-            for p in trace
-        ],
-        "epoch": epoch,
-        "why": why,
-    }
 
 
 def describe_reference(chain: ReferenceChain, cable: str | None) -> dict[str, Any]:
