@@ -33,7 +33,7 @@ from lbacal_core.spectra.screening import measure_level
 from lbacal_core.spectra.spectra import MAX_COVARIATES, Spectra
 from service.errors import ConflictError, NotFoundError
 from service.schema.tables import IS_FAR, event, event_flag, event_station, path, receipt, spectrum
-from service.storage.rows import Store, add_rows, insert_into
+from service.storage.rows import Store, add_rows, equal, insert_into
 
 # Spectra as they arrive: each event, covariate and spectrum is stored once, whoever sends it how often.
 #
@@ -431,12 +431,8 @@ class SpectraStore(Store):
 
     def _paths(self, scope: Scope) -> Sequence[Row[Any]]:
         """The stored paths of a scope, in key order."""
-        statement = select(path).order_by(path.c.station, path.c.antenna, path.c.dipole)
-        if scope.station is not None:
-            statement = statement.where(path.c.station == scope.station)
-        if scope.antenna is not None:
-            statement = statement.where(path.c.antenna == scope.antenna, path.c.dipole == scope.dipole)
-        return self._connection.execute(statement).all()
+        statement = select(path).where(*_of_scope(scope))
+        return self._connection.execute(statement.order_by(path.c.station, path.c.antenna, path.c.dipole)).all()
 
     def stations(self) -> list[str]:
         """Stations with spectra, in alphabetical order."""
@@ -466,8 +462,7 @@ class SpectraStore(Store):
 
     def count_after(self, scope: Scope, instant: Instant) -> int:
         """How many spectra of a path are newer than an instant."""
-        statement = _joined(select(func.count())).where(path.c.station == scope.station)
-        statement = statement.where(path.c.antenna == scope.antenna, path.c.dipole == scope.dipole)
+        statement = _joined(select(func.count())).where(*_of_scope(scope))
         statement = statement.where(event.c.time_us > instant - EVENT_SPAN_US, spectrum.c.time_us > instant)
         return int(self._connection.execute(statement).scalar_one())
 
@@ -520,9 +515,9 @@ class SpectraStore(Store):
         kept = select(
             event_station.c.station, func.sum(event_station.c.spectra - event_station.c.waiting).label("spectra")
         )
-        kept = kept.join(event, event.c.id == event_station.c.event).where(*_of_events(inner, event.c.flag.is_(None)))
-        if window.scope.station is not None:
-            kept = kept.where(event_station.c.station == window.scope.station)
+        kept = kept.join(event, event.c.id == event_station.c.event).where(
+            *_of_events(inner, event.c.flag.is_(None)), *equal(event_station, station=window.scope.station)
+        )
         # only of an event within a minute of an end may some spectra lie beyond it
         ends = [
             counted.where(*_of_events(Window(since, since + 2 * EVENT_SPAN_US)))
@@ -634,8 +629,8 @@ class SpectraStore(Store):
 def _usable(statement: Select[Any], window: Window) -> Select[Any]:
     """Restrict a statement to the spectra that a fit of a window uses."""
     near = Window(window.since - EVENT_SPAN_US, window.until + EVENT_SPAN_US)
-    return _of_scope(_joined(statement), window.scope).where(
-        *_of_events(near, event.c.flag.is_(None)), spectrum.c.far.is_(None),
+    return _joined(statement).where(
+        *_of_scope(window.scope), *_of_events(near, event.c.flag.is_(None)), spectrum.c.far.is_(None),
         spectrum.c.time_us >= window.since, spectrum.c.time_us < window.until,
     )  # fmt: skip
 
@@ -645,12 +640,9 @@ def _of_events(window: Window, *more: ColumnElement[bool]) -> tuple[ColumnElemen
     return (event.c.time_us >= window.since, event.c.time_us < window.until, *more)
 
 
-def _of_scope(statement: Select[Any], scope: Scope) -> Select[Any]:
-    if scope.station is not None:
-        statement = statement.where(path.c.station == scope.station)
-    if scope.antenna is not None:
-        statement = statement.where(path.c.antenna == scope.antenna, path.c.dipole == scope.dipole)
-    return statement
+def _of_scope(scope: Scope) -> list[ColumnElement[bool]]:
+    dipole = None if scope.antenna is None else scope.dipole
+    return equal(path, station=scope.station, antenna=scope.antenna, dipole=dipole)
 
 
 def _bounds(window: Window) -> dict[str, Instant]:

@@ -20,7 +20,7 @@ from lbacal_core.provenance import canonical_json, hash_content
 from service.errors import NotFoundError
 from service.schema.tables import IS_GATED, budget, calibration, calibration_mean, chain_part, examined, promotion
 from service.storage.models import complete_id
-from service.storage.rows import Store, add_rows, from_row, put_rows, scope_columns, to_row
+from service.storage.rows import Store, add_rows, equal, from_row, put_rows, scope_columns, to_row
 
 # The reference chains of versions: members and L_ref beside the version, cables and spreads once under their hash.
 
@@ -320,12 +320,9 @@ class VersionStore(Store):
 
     def search(self, scope: Scope | None, status: str | None, cursor: str, limit: int) -> list[Version]:
         """Versions with an id after a cursor, in order of id."""
-        statement = select(calibration).where(calibration.c.id > cursor).order_by(calibration.c.id).limit(limit)
-        if scope is not None:
-            statement = statement.where(calibration.c.scope == scope.key)
-        if status is not None:
-            statement = statement.where(calibration.c.status == status)
-        return self._values(self._connection.execute(statement).all())
+        asked = equal(calibration, scope=None if scope is None else scope.key, status=status)
+        statement = select(calibration).where(calibration.c.id > cursor, *asked)
+        return self._values(self._connection.execute(statement.order_by(calibration.c.id).limit(limit)).all())
 
     def newest(self, scope: Scope, also: Iterable[str]) -> list[Version]:
         """Versions of a scope that no newer one of their window replaced, and others by id, by window."""
