@@ -186,7 +186,8 @@ class Calibrations:
             decisive = _pick_decisive(asked)
             missing = [path for path in paths if path not in decisive]
             # without `hold` the sentence names the neighbours of one path only
-            found = stores.ledger.neighbours(missing if hold else missing[:1], at, as_of)
+            told = missing if hold else missing[:1]
+            found = stores.ledger.neighbours({path: path.widening for path in told}, at, as_of)
         near = {path: _nearest(found[path], at) for path in missing} if hold else {}
         held = {path: promotion for path, promotion in near.items() if promotion is not None}
         if missing and not decisive and not held:

@@ -350,7 +350,7 @@ def find_predecessors(ledger: LedgerStore, scopes: Collection[Scope], middle: In
         if promotion.calibration is not None
     }
     silent = [scope for scope in scopes if scope not in found]
-    for scope, (before, after) in ledger.neighbours_of_scopes(silent, middle, None).items():
+    for scope, (before, after) in ledger.neighbours({scope: (scope,) for scope in silent}, middle, None).items():
         nearest = before or after
         if nearest is not None:
             found[scope] = str(nearest.promotion.calibration)
