@@ -21,7 +21,7 @@ from service.handlers.request import (
     media_type_of,
 )
 from service.handlers.routes import acts, page_of, reads
-from service.storage.spectra import EventsAsked, StoredEvent
+from service.storage.spectra import StoredEvent
 from service.usecases.keys import Caller
 from service.wire.answer_models import EventAnswer, EventsAnswer, ReceiptAnswer, ReceiptsAnswer
 from service.wire.answers import fill_answer
@@ -78,8 +78,7 @@ def list_events(
     """
     start = None if since is None else parse_instant("since", since)
     end = None if until is None else parse_instant("until", until)
-    asked = EventsAsked(cursor, limit, station, start, end, flag)
-    events = use.database.look(lambda stores: stores.spectra.events(asked))
+    events = use.database.look(lambda stores: stores.spectra.events(cursor, limit, station, start, end, flag))
     return answer(request, page_of("events", events, limit, describe_event, attrgetter("number")))
 
 

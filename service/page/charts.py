@@ -285,10 +285,11 @@ def draw_matrix(station: str, years: Sequence[str], span: Span) -> Chart | None:
     if not cells:
         return None
     paths = sorted({(antenna, dipole) for antenna, dipole, _ in cells})
-    months = _every_month(min(month for *_, month in cells), max(month for *_, month in cells))
+    first, last = (np.datetime64(pick(month for *_, month in cells), "M") for pick in (min, max))
+    months = [str(month) for month in np.arange(first, last + 1)]
     values = np.array([[cells.get((*path, month), np.nan) for month in months] for path in paths], dtype=float)
     limit = max(2.0, PERCENT * float(np.nanmax(np.abs(values))))
-    edges = [parse_instant("month", f"{month}-01") / US for month in (months[0], _following(months[-1]))]
+    edges = [parse_instant("month", f"{month}-01") / US for month in (first, last + 1)]
     image = Series(
         IMAGE, edges, (len(paths) - 0.5, -0.5), name="%", image=PERCENT * values[::-1], limit=limit,
         links=[f"/paths/{station}/{antenna}/{dipole}{span.query}" for antenna, dipole in paths],
@@ -301,18 +302,6 @@ def draw_matrix(station: str, years: Sequence[str], span: Span) -> Chart | None:
         "change of C of every path", "month (UTC)", "antenna and dipole", [image], ("time", "linear"), limits,
         (len(paths) - 0.5, -0.5), rows, WIDE, height,
     )  # fmt: skip
-
-
-def _following(month: str) -> str:
-    year, number = int(month[:4]), int(month[5:])
-    return f"{year + number // 12}-{number % 12 + 1:02d}"
-
-
-def _every_month(first: str, last: str) -> list[str]:
-    found = [first]
-    while found[-1] < last:
-        found.append(_following(found[-1]))
-    return found
 
 
 def draw_over_lst(found: OverLst, name: str) -> Chart:

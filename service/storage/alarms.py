@@ -110,14 +110,12 @@ class AlarmStore(Store):
         """Raise an alarm, or see the one again that this problem has; its number."""
         return self._see(news, self._of([news.kind], news.scope.key), set(), now)
 
-    def settle(
-        self, kinds: Collection[str], present: Sequence[News], now: Instant, station: str | None = None
-    ) -> list[int]:
-        """Take in the complete list of what is wrong of some kinds (and one station): the alarms that are new.
+    def settle(self, kinds: Collection[str], present: Sequence[News], now: Instant) -> list[int]:
+        """Take in the complete list of what is wrong of some kinds: the alarms that are new.
 
         What is there already is seen again, what is gone has ended.
         """
-        known = self._of(kinds, None, station)
+        known = self._of(kinds)
         before = {one.number for one in known}
         used: set[int] = set()
         for news in present:
@@ -163,8 +161,8 @@ class AlarmStore(Store):
         statement = select(func.count()).select_from(alarm).where(alarm.c.raised_us > since, alarm.c.ended_us.is_(None))
         return int(self._connection.execute(statement).scalar_one())
 
-    def _of(self, kinds: Iterable[str], scope: str | None, station: str | None = None) -> list[Alarm]:
-        asked = alarm.c.kind.in_(list(kinds)), *equal(alarm, scope=scope, station=station)
+    def _of(self, kinds: Iterable[str], scope: str | None = None) -> list[Alarm]:
+        asked = alarm.c.kind.in_(list(kinds)), *equal(alarm, scope=scope)
         return [_value(row) for row in self._connection.execute(select(alarm).where(*asked).order_by(alarm.c.id))]
 
     def _see(self, news: News, known: Sequence[Alarm], used: set[int], now: Instant) -> int:

@@ -321,18 +321,6 @@ class StoredEvent:
 
 
 @dataclass(frozen=True)
-class EventsAsked:
-    """Which events are listed: those after a cursor, of a station, a time or a flag where these are given."""
-
-    cursor: int = 0
-    limit: int = 100
-    station: str | None = None
-    since: Instant | None = None
-    until: Instant | None = None
-    flag: str | None = None
-
-
-@dataclass(frozen=True)
 class Window:
     """The spectra of a fit: the usable events of [since, until), of a scope; None for station means all."""
 
@@ -555,18 +543,21 @@ class SpectraStore(Store):
         of_paths = _usable(select(func.count().label("spectra")), window).group_by(spectrum.c.path).subquery()
         return int(self._connection.execute(select(func.max(of_paths.c.spectra))).scalar_one() or 0)
 
-    def events(self, asked: EventsAsked) -> list[StoredEvent]:
-        """Stored events in the order in which they came."""
-        statement = select(event).where(event.c.id > asked.cursor).order_by(event.c.id).limit(asked.limit)
-        if asked.since is not None:
-            statement = statement.where(event.c.time_us >= asked.since)
-        if asked.until is not None:
-            statement = statement.where(event.c.time_us < asked.until)
-        if asked.flag is not None:
+    def events(
+        self, cursor: int = 0, limit: int = 100, station: str | None = None, since: Instant | None = None,
+        until: Instant | None = None, flag: str | None = None,
+    ) -> list[StoredEvent]:  # fmt: skip
+        """Stored events after a cursor in the order in which they came; of a station, a time, a flag where given."""
+        statement = select(event).where(event.c.id > cursor).order_by(event.c.id).limit(limit)
+        if since is not None:
+            statement = statement.where(event.c.time_us >= since)
+        if until is not None:
+            statement = statement.where(event.c.time_us < until)
+        if flag is not None:
             is_waiting = event.c.id.in_(select(event_station.c.event).where(event_station.c.waiting > 0))
-            statement = statement.where(is_waiting if asked.flag == FAR_LEVEL else event.c.flag == asked.flag)
-        if asked.station is not None:
-            of_station = select(event_station.c.event).where(event_station.c.station == asked.station)
+            statement = statement.where(is_waiting if flag == FAR_LEVEL else event.c.flag == flag)
+        if station is not None:
+            of_station = select(event_station.c.event).where(event_station.c.station == station)
             statement = statement.where(event.c.id.in_(of_station))
         return self._with_counts(self._connection.execute(statement).all())
 

@@ -45,7 +45,6 @@ from service.usecases.orders import hash_covariates
 from service.usecases.windows import (
     ALONE,
     SECOND_US,
-    KeptWindow,
     Neighbours,
     name_beside,
     name_windows,
@@ -110,13 +109,12 @@ class Wanted:
 class Made:
     """The versions of a fit, one for every scope, and the budgets that their curves name, by hash.
 
-    `lines` are those of each piece of the window, [since, until), with which later events can continue the fit, and
-    other windows be fitted.
+    With the lines of the `pieces` of the window later events can continue the fit, and other windows be fitted.
     """
 
     versions: list[Version]
     budgets: Mapping[str, Budget]
-    lines: Sequence[tuple[Instant, Instant, Sequence[KeptLines]]] = ()
+    pieces: Sequence[KeptPiece] = ()
 
 
 @dataclass(frozen=True)
@@ -163,8 +161,7 @@ class Fits:
     def find_neighbours(self, stores: Stores, wanted: Wanted) -> Neighbours:
         """The calendar years beside a window of which lines are kept that a fit would make again."""
         of = Scope(wanted.of.station)
-        pieces = self._find_pieces(stores, wanted.scope, of, wanted.since, wanted.until)
-        found = [KeptWindow(piece.since, piece.until, piece.lines) for piece in pieces]
+        found = list(self._find_pieces(stores, wanted.scope, of, wanted.since, wanted.until))
         changes: dict[tuple[str, int | None], list[Instant]] = {}
         behind: dict[Owner, tuple[Floats, str]] = {}
         for station in {one.station for one in wanted.taken_out}:
@@ -238,7 +235,7 @@ class Fits:
                     continue
                 inputs = hash_content([told.calibration, *names, name_windows(told.scope, beside)])
                 examined.append(Examined(told.scope, piece.since, piece.until, inputs, told.calibration, shift, made))
-            neighbours = neighbours.and_also(KeptWindow(piece.since, piece.until, piece.lines))
+            neighbours = neighbours.and_also(piece)
         is_whole = len(pieces) == 1 and all(scope.antenna is not None for scope in rest)
         is_few = not rest or (is_whole and len(rest) <= LARGEST_REST * (len(rest) + len(examined)))
         return Outcome(examined, rest) if np.all(seen) and is_few else None
@@ -275,12 +272,11 @@ class Fits:
             versions = [replace(one, inputs={**one.inputs, BUDGET: budget.digest}) for one in versions]
         budgets = {name: one for _, report, _ in pieces for name, one in report.budgets.items()}
         good = {(one.window, curve.path) for one in versions for curve in one.curves if curve.status == CONVERGED}
-        lines = []
+        kept = []
         for _, report, during in pieces:
-            since, until = during.since, during.until
-            of_piece = {owner for window, owner in good if window == (since, until)}
-            lines += [(since, until, [one.lend(of_piece) for one in report.lines])]
-        return Made(versions, budgets, [one for one in lines if one[2]])
+            of_piece = {owner for window, owner in good if window == (during.since, during.until)}
+            kept.append(KeptPiece(during.since, during.until, [one.lend(of_piece) for one in report.lines]))
+        return Made(versions, budgets, [one for one in kept if one.lines])
 
     def _fit_pieces(
         self,
@@ -302,7 +298,7 @@ class Fits:
                 neighbours = neighbours if budget.polarisations else ALONE
             beside = neighbours.beside(during.since, during.until)
             report = add_budget(of_piece.fit(wanted.scope, beside=[one for _, one in beside]), budget)
-            neighbours = neighbours.and_also(KeptWindow(during.since, during.until, report.lines))
+            neighbours = neighbours.and_also(KeptPiece(during.since, during.until, report.lines))
             yield _versions(recorded, report, during, made, named, beside, instrument), report, during
 
     def _require_power(self, fitted: FittedCauses, wanted: Wanted) -> None:
@@ -373,7 +369,7 @@ def _versions(
     wanted: Wanted,
     made: Instant,
     named: Mapping[str, str],
-    beside: Sequence[tuple[KeptWindow, Beside]],
+    beside: Sequence[tuple[KeptPiece, Beside]],
     instrument: Instrument,
 ) -> list[Version]:
     """The versions of a report, each by its own inputs; all of them share those `named`."""
@@ -516,10 +512,10 @@ def is_still_told(stores: Stores, pieces: Sequence[KeptPiece]) -> bool:
 
 def keep_fit(stores: Stores, block: Sums, made: Made, told: Mapping[TellKey, Told]) -> None:
     """Keep a fit in its block, where the chain alone was fitted."""
-    if made.lines:
+    if made.pieces:
         pieces = [
-            KeptPiece(since, until, lines, [told[scope, since, until] for scope in _list_scopes(lines)])
-            for since, until, lines in made.lines
+            replace(one, told=[told[scope, one.since, one.until] for scope in _list_scopes(one.lines)])
+            for one in made.pieces
         ]
         stores.sums.put(replace(block, arrays=write_pieces(pieces)))
 

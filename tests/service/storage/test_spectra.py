@@ -17,7 +17,7 @@ from lbacal_core.spectra.spectra import Spectra
 from service.errors import ConflictError
 from service.factory import Factory
 from service.storage.migration import make_config, upgrade
-from service.storage.spectra import EventsAsked, Window
+from service.storage.spectra import Window
 from tests.service.conftest import add_spectra, flat_spectra
 
 CHANNELS = 51
@@ -183,7 +183,7 @@ def test_counts_that_are_kept_are_those_of_the_rows(factory: Factory) -> None:
                     held = stores.spectra.contents(first, last)
                     assert held.get(scope.station, (0,))[0] == count
                     assert (scope.station in stores.spectra.stations_with(first, last, least)) == is_enough
-        listed = stores.spectra.events(EventsAsked())
+        listed = stores.spectra.events()
     assert sum(one.spectra for one in listed) == len(spectra)
     assert all(one.stations in (["CS001"], ["CS001", "CS002"]) for one in listed)
 

@@ -11,7 +11,7 @@ from lbacal_core.spectra.spectra import Spectra
 from service.factory import Factory
 from service.page.render import format_day
 from service.scheduler import look_for_due_work
-from service.storage.spectra import EventsAsked, Window
+from service.storage.spectra import Window
 from service.usecases.investigations import KIND
 from tests.service.conftest import like, night, served
 
@@ -36,7 +36,7 @@ def test_the_night_investigates_each_year_once_and_again_when_its_spectra_change
 
     events = nightly.calibrations.database
     with events.read() as stores:
-        last = stores.spectra.events(EventsAsked(limit=1000))[-1]
+        last = stores.spectra.events(limit=1000)[-1]
     nightly.intake.set_flag(last.event_id, "bad", reason="test", by="test")
     (again,) = [job for job in night(nightly) if job.kind == KIND]
     second = nightly.investigations.news()[0]
