@@ -192,12 +192,7 @@ class Factory:
     @cached_property
     def alarms(self) -> Alarms:
         """Alarms: problems that last."""
-        from service.usecases.models import find_stopped
-
-        return Alarms(
-            self.database, self.clock, self.settings.stale_days, lambda: find_stopped(self.models.history()),
-            self.changes.waiting,
-        )  # fmt: skip
+        return Alarms(self.database, self.clock, self.settings.stale_days, lambda: self.models, self.changes)
 
     @cached_property
     def due(self) -> DueWork:

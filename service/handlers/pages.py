@@ -55,7 +55,6 @@ from service.storage.versions import Version
 from service.usecases.calibrations import CurveInEffect, select_paths
 from service.usecases.drift import DriftSeries
 from service.usecases.life import Life
-from service.usecases.models import list_stopped
 from service.usecases.status import State, look_over, tell_problems
 from service.wire.answers import FORMATS
 
@@ -136,7 +135,7 @@ def get_asset(request: Request, digest: str, name: str) -> Response:
 @router.get("/")
 def show_overview(request: Request, use: UseCases, span: InSpan, csv: CsvQuery = "") -> Response:
     overview, state = look_over(use.database, use.instrument, use.clock), use.status.look()
-    news, stopped = use.investigations.news(), list_stopped(use.models.history())
+    news, stopped = use.investigations.news(), [one.sentence for one in use.models.stopped()]
     lasting = [one for one in use.changes.list_all() if one.ended is None]
     changes = sorted((one for one in lasting if span.has(one.change.date)), key=_significance, reverse=True)
     at = span.until - 1 if span.until is not None else overview.last
@@ -235,7 +234,7 @@ def _tell_drift(use: Factory, span: Span) -> tuple[Chart, str]:
     """The part of the page that is the same for everybody until the next daily run."""
     whole, stations = use.drift.overall()
     series = [*stations, *([whole] if len(stations) > 1 else [])]
-    points = use.drift.points(series)
+    points = [use.drift.points(one) for one in series]
     chart = charts.draw_drift(series, points, span)
     return chart, render_part(
         "drift_main.html", steps=[one for one in whole.steps if span.has(one.date)][:STEPS_SHOWN], q=span.query,
@@ -276,7 +275,7 @@ def show_station(request: Request, use: UseCases, station: InPath, span: InSpan,
         if in_effect
         else None,
         "terms": _draw_terms(use, in_effect),
-        "time": charts.draw_path(life, series, *use.drift.points([series]), span, None, ""),
+        "time": charts.draw_path(life, series, use.drift.points(series), span, None, ""),
         **_draw_life(use, life, series, span),
         "matrix": charts.draw_matrix(station, years, span),
     }
@@ -328,7 +327,7 @@ def show_path(
         found, gap = None, str(error)
     address = f"/paths/{station}/{antenna}/{dipole}"
     figures = {
-        "time": charts.draw_path(life, series, *use.drift.points([series]), span, instant, address),
+        "time": charts.draw_path(life, series, use.drift.points(series), span, instant, address),
         **_draw_life(use, life, series, span),
         **(_draw_date(use, path, found) if found is not None else {}),
     }

@@ -297,11 +297,11 @@ class Drift:
             array, *stations = _gather(stores, scopes, stores.drift.report())
         return array, stations
 
-    def points(self, series: Sequence[DriftSeries]) -> list[list[VersionPoint]]:
-        """The versions of some scopes, each beside the first of its scope and polarisation."""
+    def points(self, series: DriftSeries) -> list[VersionPoint]:
+        """The versions of a scope, each beside the first of its polarisation."""
         with self.database.read() as stores:
-            versions = stores.versions.get_many({mean.calibration for one in series for mean in one.versions})
-        return [VersionPoint.of(one.versions, versions) for one in series]
+            versions = stores.versions.get_many(mean.calibration for mean in series.versions)
+        return VersionPoint.of(series.versions, versions)
 
     def state(self) -> str:
         """Names what the drift is told from: the months, what the watch found in them, and what is in effect."""

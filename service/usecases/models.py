@@ -235,28 +235,22 @@ class Models:
                 for one in reversed(changes)
             ]  # fmt: skip
 
-
-def list_stopped(history: Sequence[AdoptedModel]) -> list[str]:
-    """Sentences about adopted causes that gained too little in the last window that measured it."""
-    return [news.sentence for news in find_stopped(history)]
-
-
-def find_stopped(history: Sequence[AdoptedModel]) -> list[News]:
-    """Find the adopted causes that gained too little in the last window that measured it."""
-    return [
-        News(
-            CAUSE_STOPPED_PAYING, Scope(one.change.station), name,
-            f"{cause.sentence} On {gain.events} new events from {format_instant(gain.since)[:10]} on it gained "
-            f"{gain.gain:.1f} in log-likelihood, expected {gain.expected:.1f} ± {gain.expected_sigma:.1f}",
-            {"model": one.model.id, "gain": gain.gain, "expected": gain.expected},
-        )
-        for one in history
-        if one.is_in_effect
-        for cause in one.model.causes
-        for name in [Model((cause,)).id]
-        for gain in list(one.gains.get(name, ()))[-1:]
-        if gain.has_stopped_paying
-    ]  # fmt: skip
+    def stopped(self) -> list[News]:
+        """Adopted causes that gained too little in the last window that measured it."""
+        return [
+            News(
+                CAUSE_STOPPED_PAYING, Scope(one.change.station), name,
+                f"{cause.sentence} On {gain.events} new events from {format_instant(gain.since)[:10]} on it gained "
+                f"{gain.gain:.1f} in log-likelihood, expected {gain.expected:.1f} ± {gain.expected_sigma:.1f}",
+                {"model": one.model.id, "gain": gain.gain, "expected": gain.expected},
+            )
+            for one in self.history()
+            if one.is_in_effect
+            for cause in one.model.causes
+            for name in [Model((cause,)).id]
+            for gain in list(one.gains.get(name, ()))[-1:]
+            if gain.has_stopped_paying
+        ]  # fmt: skip
 
 
 def _adopt(before: Model, made: Investigation, number: int | str) -> tuple[Model, AdoptedCause]:
