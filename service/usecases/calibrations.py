@@ -160,21 +160,21 @@ class Calibrations:
         versions = self.versions.get_many(names, lambda ids: self.database.look(lambda s: s.versions.get_many(ids)))
         named = (name for version in versions.values() for name in version.budgets)
         budgets = self.budgets.get_many(named, lambda ids: self.database.look(lambda s: s.budgets.get_texts(ids)))
-        curves = [
-            curve
-            for path in paths
-            if (promotion := answers.get(path)) is not None
-            for curve in _list_curves(
-                versions[str(promotion.calibration)],
-                path,
-                at,
-                promotion,
-                tuple(asked[path]),
-                _find_change(promotion, of_antenna),
-                _find_epoch(path, at, of_antenna),
-                is_held=path in held,
-            )
-        ]
+
+        def list_curves(path: Scope, promotion: Promotion) -> Iterator[CurveInEffect]:
+            """The curve that a path is served; of an array that was asked for by itself, those of its chains."""
+            version, trace, is_held = versions[str(promotion.calibration)], tuple(asked[path]), path in held
+            changed, epoch = _find_change(promotion, of_antenna), _find_epoch(path, at, of_antenna)
+            told = promotion, is_held, trace
+            if path.antenna is None:
+                for curve in version.curves:
+                    yield CurveInEffect(path, curve.dipole, *told, None, None, None, epoch, version, at)
+                return
+            cable = version.cable_of(path, at)
+            unknown = at if cable is None and str(path.dipole) in version.chains else None
+            yield CurveInEffect(path, path.dipole, *told, cable, unknown, changed, epoch, version, at)
+
+        curves = [curve for path in paths if path in answers for curve in list_curves(path, answers[path])]
         return InEffect(at, curves, [path for path in paths if path not in answers], budgets)
 
     def _look_around(
@@ -216,27 +216,6 @@ class Calibrations:
             changes = {math.ceil(seconds * MICROSECONDS) for seconds in cables.get(station, ())}
             found[station] = sorted(everywhere | edges.get(station, set()) | changes)
         return found
-
-
-def _list_curves(
-    version: Version,
-    asked: Scope,
-    at: Instant,
-    promotion: Promotion,
-    trace: tuple[Promotion, ...],
-    changed: str | None,
-    epoch: Epoch,
-    *,
-    is_held: bool,
-) -> Iterator[CurveInEffect]:
-    """The curve that a path is served; of an array that was asked for by itself, those of its reference chains."""
-    if asked.antenna is None:
-        for curve in version.curves:
-            yield CurveInEffect(asked, curve.dipole, promotion, is_held, trace, None, None, None, epoch, version, at)
-        return
-    cable = version.cable_of(asked, at)
-    unknown = at if cable is None and str(asked.dipole) in version.chains else None
-    yield CurveInEffect(asked, asked.dipole, promotion, is_held, trace, cable, unknown, changed, epoch, version, at)
 
 
 _ByAntenna = Mapping[tuple[str | None, int | None], Sequence[KeptChange]]

@@ -138,8 +138,8 @@ class Refits:
             stores.versions.confirm(found.examined)
             if versions:
                 keep_told(stores, later.block, pieces, kept.told)
-            result = {**kept.result, "examined": kept.result["examined"] + len(found.examined)}
-            stores.jobs.complete(part, worker, result, self.clock())
+            kept.result["examined"] += len(found.examined)
+            stores.jobs.complete(part, worker, kept.result, self.clock())
             stores.ledger.append(kept.promotions, self.clock)
         return True
 
@@ -163,15 +163,17 @@ class Refits:
         What the gate compares with must not change before the promotions are written: the ledger is locked first. Due
         work leaves no version where C hardly moved from the one in effect.
         """
+        kept = _Kept()
         if not part.request["promote"]:
             stores.versions.add(made)
-            return _Kept({"calibrations": [version.id for version in made], "promoted": [], "gated": {}}, [])
+            kept.result["calibrations"] = [version.id for version in made]
+            return kept
         stores.ledger.lock()
-        windows = dict.fromkeys(version.window for version in made)
-        kept = [self._keep_window(stores, [v for v in made if v.window == window], part, said) for window in windows]
-        return _Kept.of(kept)
+        for window in dict.fromkeys(version.window for version in made):
+            self._keep_window(stores, [v for v in made if v.window == window], part, said, kept)
+        return kept
 
-    def _keep_window(self, stores: Stores, made: list[Version], part: Part, said: Said) -> _Kept:
+    def _keep_window(self, stores: Stores, made: list[Version], part: Part, said: Said, kept: _Kept) -> None:
         """Store the new versions of one window.
 
         What somebody put into effect since due work spoke of the window last stays, while it would say the same again.
@@ -213,37 +215,27 @@ class Refits:
             for scope, name in answers.items()
             if scope not in stays and standing.get(scope) != name
         ]
-        objections = {name: objection for name, objection in gated.items() if objection is not None}
-        result = {
-            "calibrations": [v.id for v in news], "promoted": [one.calibration for one in promoted],
-            "gated": objections, "examined": len(examined),
-        }  # fmt: skip
+        kept.promotions += promoted
+        kept.result["calibrations"] += [v.id for v in news]
+        kept.result["promoted"] += [one.calibration for one in promoted]
+        kept.result["gated"] |= {name: objection for name, objection in gated.items() if objection is not None}
+        kept.result["examined"] += len(examined)
         told = {v.scope: tell(v, is_in_effect=v.id in (passed.get(v.scope), standing.get(v.scope))) for v in news}
         told |= {scope: tell(versions[one.calibration], is_in_effect=True) for scope, one in examined.items()}
-        of_window = {
+        kept.told |= {
             (scope, since, until): own.get(scope, one) if scope in stays else one for scope, one in told.items()
         }
-        return _Kept(result, promoted, of_window)
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Kept:
-    """What a part left behind."""
+    """What a part leaves behind; its result is as jobs tell it."""
 
-    result: Mapping[str, Any]
-    promotions: list[Promotion]
-    told: Mapping[TellKey, Told] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, kept: Sequence[_Kept]) -> _Kept:
-        """Join the results of several windows."""
-        result: dict[str, Any] = {
-            name: [one for each in kept for one in each.result[name]] for name in ("calibrations", "promoted")
-        }
-        result["gated"] = {name: why for each in kept for name, why in each.result["gated"].items()}
-        result["examined"] = sum(each.result["examined"] for each in kept)
-        told = {key: one for each in kept for key, one in each.told.items()}
-        return cls(result, [promotion for each in kept for promotion in each.promotions], told)
+    result: dict[str, Any] = field(
+        default_factory=lambda: {"calibrations": [], "promoted": [], "gated": {}, "examined": 0}
+    )
+    promotions: list[Promotion] = field(default_factory=list)
+    told: dict[TellKey, Told] = field(default_factory=dict)
 
 
 Said = Mapping[TellKey, Told]
