@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Request, Response
 
-from lbacal.instants import DAY_US, format_instant, parse_instant
+from lbacal.instants import DAY_US, SECOND_US, format_instant, parse_instant
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import BadInputError
 from service.handlers.ledger import PROMOTE, describe_changes
@@ -19,7 +19,7 @@ from service.handlers.routes import Order, acts, ordered, page_of, reads
 from service.storage.alarms import ACKNOWLEDGED, OPEN, STATES, Alarm, AlarmsAsked
 from service.storage.changes import KeptChange, concerns
 from service.usecases.calibrations import select_paths
-from service.usecases.drift import SECOND_US, DriftSeries, MonthPoint, Step
+from service.usecases.drift import DriftSeries, MonthPoint, Step
 from service.usecases.keys import Caller
 from service.wire import answer_models as wire
 from service.wire.answers import describe_scope, fill_answer

@@ -11,7 +11,7 @@ import numpy as np
 from fastapi import APIRouter, Depends, Query, Request, Response, status
 from fastapi.responses import HTMLResponse, RedirectResponse
 
-from lbacal.instants import format_instant, parse_instant
+from lbacal.instants import SECOND_US, format_instant, parse_instant
 from lbacal.pages.chart import Chart
 from lbacal.pages.curves import (
     C_LABEL,
@@ -289,7 +289,7 @@ def show_station(request: Request, use: UseCases, station: InPath, span: InSpan,
 def _draw_life(use: Factory, life: Life, series: DriftSeries, span: Span) -> dict[str, Chart]:
     """What happened, and what was recorded beside it, on one axis of time."""
     days = charts.find_days(life, series, span)
-    since, until = (round(charts.US * at) for at in days)
+    since, until = (round(SECOND_US * at) for at in days)
     environment = use.database.look(lambda stores: stores.spectra.covariates_by_month(since, until))
     return {"life": charts.draw_life(life, days, span, use.clock()), **charts.draw_environment(environment, days)}
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lbacal.instants import format_instant, parse_instant
+from lbacal.instants import SECOND_US, format_instant, parse_instant
 from lbacal.pages.chart import (
     BAND,
     BARS,
@@ -41,7 +41,6 @@ from service.usecases.status import StationState
 if TYPE_CHECKING:
     from lbacal_core.calibration.one_event import OverLst  # half a second to import
 
-US = 1e6
 HALF_A_MONTH = 15 * 86_400
 PERCENT = 100.0
 LANES = ("in effect", "versions", "changes", "causes", "alarms", "investigations")
@@ -105,11 +104,11 @@ def draw_changes(changes: Sequence[KeptChange], span: Span, ends: Sequence[Insta
             f"{name_members(one)}, {format_instant(one.change.date)[:10]}: {s:+.1f} ± {e:.1f} %"
             for (one, *_), s, e in zip(own, size, sigma, strict=True)
         ]
-        dates, links = [one.change.date / US for one, *_ in own], [address_of(one, span) for one, *_ in own]
+        dates, links = [one.change.date / SECOND_US for one, *_ in own], [address_of(one, span) for one, *_ in own]
         name = decision.replace("_", " ")
         series.append(Series(POINTS, dates, size, size - sigma, size + sigma, name, colour, titles=titles, links=links))
     instants = [*(one.change.date for one in changes), *(at for at in ends if at is not None)]
-    low, high = min(instants, default=0) / US, max(instants, default=0) / US
+    low, high = min(instants, default=0) / SECOND_US, max(instants, default=0) / SECOND_US
     limits = span.limits or (low, high if high > low else low + 1.0)
     return Chart("changes of C", "date (UTC)", "change of C (%)", series, ("time", "linear"), limits)
 
@@ -145,7 +144,7 @@ def _draw_months(
 ) -> Iterator[Series]:
     name = name_path(*one.scope.parts)
     months: list[MonthPoint] = [month for month in one.months if span.has(month.month)]
-    at = [month.month / US + HALF_A_MONTH for month in months]
+    at = [month.month / SECOND_US + HALF_A_MONTH for month in months]
     low, middle, high = ([getattr(month, part) for month in months] for part in ("low", "c_ratio", "high"))
     titles = [
         f"{name} {format_instant(m.month)[:7]}: {m.c_ratio:.4f}, {m.low:.4f} to {m.high:.4f} "
@@ -165,7 +164,7 @@ def _draw_months(
         if not (span.has(of.since) or span.has(of.until)):
             continue
         # one beside the other: polarisations share their windows
-        middle_of = (of.since + (0.48 if of.dipole == "X" else 0.52) * (of.until - of.since)) / US
+        middle_of = (of.since + (0.48 if of.dipole == "X" else 0.52) * (of.until - of.since)) / SECOND_US
         sigma, links = ratio * of.c_sigma / of.c, [f"/calibrations/{of.calibration}{span.query}"]
         titles = [f"{name} {of.dipole}, version of {_days(of.since, of.until)}: {ratio:.4f} ± {sigma:.4f}"]
         yield Series(
@@ -189,10 +188,10 @@ def draw_path(
         f"{name_members(one)} changed on {format_instant(one.change.date)[:10]} ({one.decision})" for one in marks
     ]
     links = [address_of(one, span) for one in marks]
-    dates = [one.change.date / US for one in marks]
+    dates = [one.change.date / SECOND_US for one in marks]
     parts.append(Series(MARK, dates, name="change", colour=RED, style=1, titles=titles, links=links))
     if at is not None:
-        parts.append(Series(MARK, [at / US], name="shown below", colour=GREEN, titles=[format_instant(at)[:10]]))
+        parts.append(Series(MARK, [at / SECOND_US], name="shown below", colour=GREEN, titles=[format_instant(at)[:10]]))
     label, limits = "C / C of the first year", find_days(life, drift, span)
     return Chart(
         "C over time", "date (UTC)", label, parts, ("time", "linear"), limits, width=WIDE, height=320, left=LEFT
@@ -204,7 +203,7 @@ def draw_life(life: Life, limits: tuple[float, float], span: Span, now: Instant)
     series: list[Series] = []
 
     def add(lane: str, since: Instant | None, until: Instant | None, title: str, link: str, colour: int) -> None:
-        first, last = (edge if at is None else at / US for at, edge in zip((since, until), limits, strict=True))
+        first, last = (edge if at is None else at / SECOND_US for at, edge in zip((since, until), limits, strict=True))
         row = LANES.index(lane)
         if first < limits[1] and last > limits[0]:
             ends = [min(max(one, limits[0]), limits[1]) for one in (first, last)]
@@ -244,7 +243,7 @@ def draw_environment(
     """Draw weather and other covariates month by month: the mean, and the middle 68 %; the first few by name."""
     charts = {}
     for name, months in list(found.items())[:MOST_COVARIATES]:
-        at = [month / US + HALF_A_MONTH for month, _ in months]
+        at = [month / SECOND_US + HALF_A_MONTH for month, _ in months]
         middle = [float(values.mean()) for _, values in months]
         low, high = zip(*(np.percentile(values, WITHIN_1_SIGMA) for _, values in months), strict=True)
         titles = [
@@ -264,11 +263,13 @@ def draw_environment(
 
 def find_days(life: Life, drift: DriftSeries, span: Span) -> tuple[float, float]:
     """The days that are shown: the span, where it is open those of the data."""
-    known = [month.month / US for month in drift.months] + [at / US for one in life.versions for at in one.window]
-    known += [at / US for one in life.investigations for at in (one.since, one.until)]
+    known = [month.month / SECOND_US for month in drift.months] + [
+        at / SECOND_US for one in life.versions for at in one.window
+    ]
+    known += [at / SECOND_US for one in life.investigations for at in (one.since, one.until)]
     first, last = min(known, default=0.0), max(known, default=1.0)
-    low = first if span.since is None else span.since / US
-    high = last if span.until is None else span.until / US
+    low = first if span.since is None else span.since / SECOND_US
+    high = last if span.until is None else span.until / SECOND_US
     return (low, high) if low < high else (low, low + 1.0)
 
 
@@ -289,7 +290,7 @@ def draw_matrix(station: str, years: Sequence[str], span: Span) -> Chart | None:
     months = [str(month) for month in np.arange(first, last + 1)]
     values = np.array([[cells.get((*path, month), np.nan) for month in months] for path in paths], dtype=float)
     limit = max(2.0, PERCENT * float(np.nanmax(np.abs(values))))
-    edges = [parse_instant("month", f"{month}-01") / US for month in (first, last + 1)]
+    edges = [parse_instant("month", f"{month}-01") / SECOND_US for month in (first, last + 1)]
     image = Series(
         IMAGE, edges, (len(paths) - 0.5, -0.5), name="%", image=PERCENT * values[::-1], limit=limit,
         links=[f"/paths/{station}/{antenna}/{dipole}{span.query}" for antenna, dipole in paths],

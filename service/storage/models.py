@@ -10,6 +10,7 @@ from typing import Any
 
 from sqlalchemy import Column, Connection, Row, and_, func, or_, select
 
+from lbacal.instants import SECOND_US
 from lbacal_core.causes.model import Model, follows_date
 from lbacal_core.curves.validity import Instant
 from lbacal_core.errors import BadInputError
@@ -42,7 +43,6 @@ def complete_id(connection: Connection, column: Column[str], beginning: str, nou
 
 
 ADOPTED, WITHDRAWN = "adopted", "withdrawn"
-MICROSECONDS = 1e6
 STOPPED_SIGMA = 3.0
 """Standard deviations by which a gain lies below the expected one where a cause has stopped paying."""
 
@@ -158,7 +158,7 @@ class ModelStore(Store):
 
         What follows the date is a change and no cause, also where somebody adopted it when that was not refused.
         """
-        acting = self.current().during(since / MICROSECONDS, until / MICROSECONDS)
+        acting = self.current().during(since / SECOND_US, until / SECOND_US)
         acting = Model(tuple(one for one in acting.causes if not follows_date(one.cause, one.parameters)))
         return acting if station is None else acting.of_stations([station])
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from sqlalchemy import ColumnElement, Connection, Row, and_, func, or_, select
 
+from lbacal.instants import SECOND_US
 from lbacal_core.calibration.spreads import ToldCurve, carry_to_path
 from lbacal_core.curves.covariance import Budget
 from lbacal_core.curves.curves import MISFIT, NONE, STATUSES, Anomalies, CalibrationCurve, parse_anomalies, parse_curve
@@ -116,8 +117,6 @@ BUDGET = "budget"
 """The input that names a budget which was not computed from the version's own spectra and those around them."""
 CURVES_REMEMBERED = 1200
 """Versions whose curves stay in memory: those of all paths of the Superterp in two years, about 40 MB."""
-MICROSECONDS = 1e6
-"""An instant in microseconds over this is in seconds."""
 
 
 @dataclass(frozen=True)
@@ -195,14 +194,14 @@ class Version:
     def cable_of(self, path: Scope, instant: Instant) -> str | None:
         """Name of the cable of a path at an instant, as the version's own chain knows it."""
         chain = self.chains.get(str(path.dipole))
-        seconds = instant / MICROSECONDS
+        seconds = instant / SECOND_US
         return None if chain is None else chain.cables.cable_of(str(path.station), int(str(path.antenna)), seconds)
 
     def tell(self, path: Scope, instant: Instant) -> ToldCurve:
         """The curve as a path is served it, through the cable that the path has at an instant."""
         station, antenna, dipole = str(path.station), int(str(path.antenna)), str(path.dipole)
         return carry_to_path(
-            self.curve_of(dipole), self.chains.get(dipole), station, antenna, dipole, instant / MICROSECONDS
+            self.curve_of(dipole), self.chains.get(dipole), station, antenna, dipole, instant / SECOND_US
         )
 
 

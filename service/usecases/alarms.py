@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lbacal.instants import DAY_US, format_instant, parse_instant
+from lbacal.instants import DAY_US, SECOND_US, format_instant, parse_instant
 from lbacal_core.causes.model import Model
 from lbacal_core.curves.curves import OK
 from lbacal_core.curves.validity import Instant, Scope
@@ -133,7 +133,6 @@ def _tell(station: str, subject: str, years: Sequence[_Named]) -> News:
     return News(NAMED_CAUSE, Scope(station), subject, sentence, content, years[0].made.since)
 
 
-SECOND_US = 1_000_000
 LOOKED_FOR = (LOST_PATH, STALE_DATA, MISFIT, NAMED_CAUSE, FAILED_JOB, CAUSE_STOPPED_PAYING)
 FAILURES_SINCE_US = 30 * DAY_US
 FAILURES_READ = 200

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from lbacal.instants import format_instant
+from lbacal.instants import SECOND_US, format_instant
 from lbacal_core.calibration.spreads import ToldCurve, tell_reference
 from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.curves.validity import Instant, Promotion, Scope
@@ -17,7 +17,7 @@ from service.errors import NotInEffectError
 from service.storage.changes import Epoch, KeptChange, concerns, split_epochs
 from service.storage.database import Database
 from service.storage.ledger import Neighbours
-from service.storage.versions import MICROSECONDS, Version
+from service.storage.versions import Version
 
 VERSIONS_REMEMBERED = 1200
 """Versions, and curves as texts, that stay in memory: those of all paths of the Superterp in two years, 40 MB."""
@@ -213,7 +213,7 @@ class Calibrations:
         everywhere = edges.get(None, set())
         found: dict[str | None, list[Instant]] = {None: sorted(everywhere)}
         for station in sorted({record.station for record in self.instrument.antennas}):
-            changes = {math.ceil(seconds * MICROSECONDS) for seconds in cables.get(station, ())}
+            changes = {math.ceil(seconds * SECOND_US) for seconds in cables.get(station, ())}
             found[station] = sorted(everywhere | edges.get(station, set()) | changes)
         return found
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lbacal.instants import format_instant, parse_instant
+from lbacal.instants import SECOND_US, format_instant, parse_instant
 from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.curves.validity import Instant, Promotion, Scope, timeline
 from lbacal_core.drift.model import SLOPE, smooth_columns
@@ -224,7 +224,6 @@ def _tell_cables(before: ReferenceChain, now: ReferenceChain) -> str:
     return "" if abs(change) < LEAST_CABLES else f", whose cables change C by {write_percent(change, 1)}"
 
 
-SECOND_US = 1_000_000
 HALF_A_MONTH_S = 15 * 86_400.0
 
 

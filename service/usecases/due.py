@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from lbacal.instants import DAY_US, format_instant
+from lbacal.instants import DAY_US, SECOND_US, format_instant
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import name_path
 from lbacal_core.provenance import hash_content
@@ -40,7 +40,6 @@ from service.usecases.refits import KIND as REFIT
 from service.usecases.refits import describe_part
 from service.usecases.watch import KIND as WATCH
 from service.usecases.watch import Watch
-from service.usecases.windows import SECOND_US
 
 BY = "scheduler"
 FORM = "sums"

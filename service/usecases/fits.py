@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from lbacal.instants import format_instant
+from lbacal.instants import SECOND_US, format_instant
 from lbacal_core.audit.audit import QuickAudit, audit_quickly
 from lbacal_core.calibration.budget import add_budget, compute_budget
 from lbacal_core.calibration.continued import Continued, continue_fit
@@ -44,7 +44,6 @@ from service.usecases.drift import year_of
 from service.usecases.orders import hash_covariates
 from service.usecases.windows import (
     ALONE,
-    SECOND_US,
     Neighbours,
     name_beside,
     name_windows,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from lbacal.instants import SECOND_US
 from lbacal_core.calibration.windows import leave_out_changed
 from lbacal_core.causes.model import Model
 from lbacal_core.curves.validity import Instant
@@ -12,7 +13,7 @@ from lbacal_core.discovery.adopted import measure_gains
 from lbacal_core.discovery.calibrate import FittedCauses
 from lbacal_core.simulation.simulation import Simulation
 from service.storage.database import Stores
-from service.storage.models import ADOPTED, MICROSECONDS, Gain
+from service.storage.models import ADOPTED, Gain
 from service.usecases.fits import Wanted
 
 
@@ -38,7 +39,7 @@ class Payoff:
             return found
         names = [Model((cause,)).id for cause in whole.model.causes]
         for last in sorted({known_until[name] for name in names if name in known_until}):
-            is_new = spectra.time_unix > last / MICROSECONDS
+            is_new = spectra.time_unix > last / SECOND_US
             if not (is_new.any() and whole.stations):
                 continue
             measured = measure_gains(spectra, self.simulation.with_causes(whole.model), is_new)

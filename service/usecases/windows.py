@@ -18,8 +18,6 @@ from lbacal_core.provenance import hash_content
 from service.storage.sums import KeptPiece
 from service.storage.versions import BESIDE, Version
 
-SECOND_US = 1_000_000
-
 
 @dataclass(frozen=True)
 class Neighbours:
