@@ -209,7 +209,7 @@ def decide_change(
 def describe_change(kept: KeptChange) -> dict[str, Any]:
     """Describe a change as JSON values."""
     change, said, first = kept.change, kept.said, kept.evidence[0]
-    paths = [describe_scope(Scope(change.station, antenna, dipole)) for antenna, dipole in change.paths]
+    paths = [{"station": change.station, "antenna": antenna, "dipole": dipole} for antenna, dipole in change.paths]
     of_c = None if change.size is None else {"value": change.size, "sigma": change.size_sigma or 0.0}
     return fill_answer(
         wire.PathChangeAnswer, kept, change, id=kept.number, paths=paths or None, array=change.station is None,
