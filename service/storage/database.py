@@ -139,10 +139,6 @@ class Stores:
         self.alarms = AlarmStore(connection)
         self.keys = KeyStore(connection)
 
-    def require_prompt(self) -> None:
-        """Refuse to commit what was overtaken by the clock."""
-        self.ledger.require_prompt()
-
 
 class Database:
     """Opens transactions. One transaction a use case: it commits at the end of the block or leaves nothing.
@@ -201,7 +197,7 @@ class Database:
                 self._open.stores = Stores(connection)
                 try:
                     yield self._open.stores
-                    self._open.stores.require_prompt()
+                    self._open.stores.ledger.require_prompt()
                 finally:
                     self._open.stores = None
         except UnavailableError as error:

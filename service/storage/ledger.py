@@ -11,7 +11,6 @@ from typing import Any
 from sqlalchemy import (
     BigInteger,
     ColumnElement,
-    Connection,
     FromClause,
     Row,
     ScalarSelect,
@@ -123,12 +122,10 @@ Neighbours = tuple[Neighbour | None, Neighbour | None]
 """The one before a gap and the one after it."""
 
 
-class LedgerStore:
+class LedgerStore(Store):
     """Promotions are inserted, never changed."""
 
-    def __init__(self, connection: Connection) -> None:
-        self._connection = connection
-        self._written: tuple[Instant, Callable[[], Instant]] | None = None
+    _written: tuple[Instant, Callable[[], Instant]] | None = None
 
     def lock(self) -> None:
         """Wait until nobody else promotes; held until the transaction ends."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 
@@ -84,15 +84,6 @@ def read_chains(connection: Connection, references: Mapping[str, str | None]) ->
     }
 
 
-def read_cable_changes(connection: Connection) -> dict[str, set[float]]:
-    """When antennas change cables, unix seconds by station, in any table that a version answers with."""
-    found: dict[str, set[float]] = {}
-    for row in connection.execute(select(chain_part)):
-        for station, _, _, *instants in json.loads(row.content).get("antennas", ()):
-            found.setdefault(station, set()).update(instant for instant in instants if instant is not None)
-    return found
-
-
 @lru_cache(PARTS_REMEMBERED)
 def _parse_cables(text: str) -> CableTable:
     return parse_cable_table(json.loads(text))
@@ -156,10 +147,6 @@ class Version:
     def window(self) -> tuple[Instant, Instant]:
         """The half-open interval whose spectra it was made from."""
         return self.since, self.until
-
-    def with_gate(self, objection: str | None) -> Version:
-        """The same version with the result of the gate."""
-        return replace(self, gate=objection)
 
     @property
     def payload(self) -> list[dict[str, Any]]:
@@ -331,8 +318,12 @@ class VersionStore(Store):
         return self._values(self._connection.execute(in_order).all())
 
     def cable_changes(self) -> dict[str, set[float]]:
-        """When antennas change cables, unix seconds by station."""
-        return read_cable_changes(self._connection)
+        """When antennas change cables, unix seconds by station, in any table that a version answers with."""
+        found: dict[str, set[float]] = {}
+        for row in self._connection.execute(select(chain_part)):
+            for station, _, _, *instants in json.loads(row.content).get("antennas", ()):
+                found.setdefault(station, set()).update(instant for instant in instants if instant is not None)
+        return found
 
     def misfits(self) -> dict[tuple[str | None, str, Instant, Instant], list[str]]:
         """Versions that misfit and that no newer one of their window replaced, by station, level and window."""

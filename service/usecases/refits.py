@@ -207,7 +207,7 @@ class Refits:
                 stays.add(v.scope)
         news = [v for v in made if v.scope not in examined]
         stores.versions.confirm(list(examined.values()))
-        stores.versions.add([v.with_gate(gated[v.id]) for v in news])
+        stores.versions.add([replace(v, gate=gated[v.id]) for v in news])
         passed = {v.scope: v.id for v in news if gated[v.id] is None}
         answers = {scope: one.calibration for scope, one in examined.items()} | passed
         promoted = [
