@@ -22,7 +22,7 @@ from service.usecases.changes import Changes
 from service.usecases.drift import Drift
 from service.usecases.intake import Intake
 from service.usecases.keys import Keys
-from service.usecases.orders import Deeds, Limits
+from service.usecases.orders import Deeds
 from service.usecases.promotions import Promotions, Tags
 from service.usecases.status import Status
 from service.wire.hdf5_body import FileReader
@@ -121,7 +121,7 @@ class Factory:
 
         limits_of_gate = ("gate_change", "gate_error", "gate_coverage", "gate_band")
         gate = Gate(*(getattr(self.settings, name) for name in limits_of_gate))
-        return Refits(self.database, self.simulation, self.fits, self.payoff, gate, self._limits, self.clock)
+        return Refits(self.database, self.simulation, self.fits, self.payoff, gate, self.settings, self.clock)
 
     @cached_property
     def fits(self) -> Fits:
@@ -149,7 +149,7 @@ class Factory:
         """Investigations of stored spectra."""
         from service.usecases.investigations import Investigations
 
-        return Investigations(self.database, self.simulation, self.fits, self._limits, self.clock, self.settings.judge)
+        return Investigations(self.database, self.simulation, self.fits, self.settings, self.clock)
 
     @cached_property
     def drift(self) -> Drift:
@@ -218,10 +218,6 @@ class Factory:
     def deeds(self) -> Deeds:
         """Idempotent requests, each done once under its name."""
         return Deeds(self.database, self.clock)
-
-    @property
-    def _limits(self) -> Limits:
-        return Limits(self.settings.max_open_parts, self.settings.max_window_days)
 
     @cached_property
     def keys(self) -> Keys:

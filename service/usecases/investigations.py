@@ -14,12 +14,12 @@ from lbacal_core.calibration.singles import MIN_EVENTS
 from lbacal_core.calibration.windows import leave_out_changed
 from lbacal_core.causes.model import Model
 from lbacal_core.curves.validity import Instant, Scope
-from lbacal_core.data.judges import DEFAULT_JUDGE, Judge
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.errors import write_chance
 from lbacal_core.provenance import hash_content
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.spectra import Spectra
+from service.config import Settings
 from service.errors import ConflictError
 from service.storage.database import Database, Stores
 from service.storage.jobs import Order, Part
@@ -29,7 +29,7 @@ from service.usecases.calibrations import select_paths
 from service.usecases.changes import propose
 from service.usecases.drift import find_years, split_years
 from service.usecases.fits import Fits
-from service.usecases.orders import Limits, hash_covariates, name_inputs, place_order, read_window
+from service.usecases.orders import hash_covariates, name_inputs, place_order, read_window
 from service.wire.bodies import InvestigationBody
 
 KIND = "investigation"
@@ -42,9 +42,8 @@ class Investigations:
     database: Database
     simulation: Simulation
     fits: Fits
-    limits: Limits
+    settings: Settings
     clock: Callable[[], Instant]
-    judge: Judge = DEFAULT_JUDGE
 
     def request(self, body: InvestigationBody, by: str) -> int:
         """Enqueue one part a station and calendar year that hold spectra in the window."""
@@ -63,7 +62,7 @@ class Investigations:
             if not parts:
                 raise ConflictError("no usable spectra are stored in this window: ingest some, or ask for another one")
             order = Order(KIND, body.model_dump(), parts, body.reason, by, inputs=inputs)
-            return place_order(stores, order, self.limits, self.clock)
+            return place_order(stores, order, self.settings.max_open_parts, self.clock)
 
     def due(self, stores: Stores) -> Iterator[tuple[dict[str, Any], list[Any]]]:
         """The parts that the stored spectra call for, each with what besides the inputs of fits would change it.
@@ -113,11 +112,11 @@ class Investigations:
         from lbacal_core.discovery.report import investigate  # a second to import, and only workers need it
 
         known = self.simulation.with_causes(model).smeared(spectra)
-        return add_left_open(*investigate(spectra, known, judge=self.judge))
+        return add_left_open(*investigate(spectra, known, judge=self.settings.judge))
 
     @property
     def _policy(self) -> Policy:
-        return Policy(judge=self.judge)
+        return Policy(judge=self.settings.judge)
 
     def news(self) -> list[StationNews]:
         """The newest investigation of every station against the one before."""

@@ -24,14 +24,6 @@ if TYPE_CHECKING:
 RETRY_S = 60.0
 
 
-@dataclass(frozen=True)
-class Limits:
-    """The limits of one key: the most open parts, and the longest window of a fit."""
-
-    open_parts: int
-    window_days: float
-
-
 def read_window(since: str, until: str) -> tuple[Instant, Instant]:
     """Read the half-open window of a body."""
     first, last = parse_instant("body.since", since), parse_instant("body.until", until)
@@ -40,13 +32,13 @@ def read_window(since: str, until: str) -> tuple[Instant, Instant]:
     return first, last
 
 
-def place_order(stores: Stores, order: Order, limits: Limits, clock: Callable[[], Instant]) -> int:
-    """Enqueue a job that somebody asked for, and return its number."""
+def place_order(stores: Stores, order: Order, most: int, clock: Callable[[], Instant]) -> int:
+    """Enqueue a job that somebody asked for, of whom at most so many parts may wait, and return its number."""
     waiting = stores.jobs.count_open(order.by)
-    if waiting and waiting + len(order.parts) > limits.open_parts:  # a larger order is taken when nothing else waits
+    if waiting and waiting + len(order.parts) > most:  # a larger order is taken when nothing else waits
         raise TooManyError(
             f"{waiting} parts of jobs of {order.by} wait or run, and {len(order.parts)} more would be above "
-            f"{limits.open_parts} (LBACAL_MAX_OPEN_PARTS)", RETRY_S
+            f"{most} (LBACAL_MAX_OPEN_PARTS)", RETRY_S
         )  # fmt: skip
     number = stores.jobs.add(order, clock())
     if number is None:

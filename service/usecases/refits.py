@@ -12,6 +12,7 @@ from lbacal_core.curves.covariance import parse_budget
 from lbacal_core.curves.validity import Instant, Promotion, Scope, timeline
 from lbacal_core.errors import BadInputError
 from lbacal_core.simulation.simulation import Simulation
+from service.config import Settings
 from service.errors import ConflictError
 from service.storage.database import Database, Stores
 from service.storage.jobs import Job, Order, Part
@@ -31,7 +32,7 @@ from service.usecases.fits import (
     tell,
 )
 from service.usecases.gate import Gate, find_predecessors, find_shift
-from service.usecases.orders import Limits, name_inputs, place_order, read_window
+from service.usecases.orders import name_inputs, place_order, read_window
 from service.usecases.payoff import Payoff
 from service.usecases.windows import ALONE, Neighbours
 from service.wire.bodies import RefitBody
@@ -50,14 +51,14 @@ class Refits:
     fits: Fits
     payoff: Payoff
     gate: Gate
-    limits: Limits
+    settings: Settings
     clock: Callable[[], Instant]
 
     def request(self, body: RefitBody, by: str) -> int:
         """Enqueue what an admin asks for: one part for the array, else one a station, with the model adopted now."""
         since, until = read_window(body.since, body.until)
-        if until - since > self.limits.window_days * DAY_US:
-            most = f"a window of at most {self.limits.window_days:g} days (LBACAL_MAX_WINDOW_DAYS)"
+        if until - since > self.settings.max_window_days * DAY_US:
+            most = f"a window of at most {self.settings.max_window_days:g} days (LBACAL_MAX_WINDOW_DAYS)"
             raise BadInputError("body.until", most, f"{(until - since) / DAY_US:.0f} days")
         scope = Scope(body.station, body.antenna, body.dipole)
         select_paths(self.simulation.instrument, scope.station, scope.antenna, scope.dipole)
@@ -77,7 +78,7 @@ class Refits:
                 part = describe_part(body.scope, one, since, until, model, promote=body.promote)
                 parts.append(part if body.fit == "years" else {**part, "fit": body.fit})
             order = Order(KIND, body.model_dump(), parts, body.reason, by, inputs=inputs)
-            return place_order(stores, order, self.limits, self.clock)
+            return place_order(stores, order, self.settings.max_open_parts, self.clock)
 
     def run(self, part: Part, worker: str) -> None:
         """Do a part: read, fit, then write versions, promotions and the end of the part in one transaction.
