@@ -153,9 +153,13 @@ def get_diff(request: Request, use: UseCases, first: InPath, second: InPath) -> 
 def write_json(use: Factory, found: InEffect, curves: Sequence[CurveInEffect], known: Knowledge) -> bytes:
     """Write the curves in effect as JSON, most of which were written before."""
     written = use.calibrations.write(curves, _write_curve)
-    named = {one.budget for one in written if one.budget is not None}
-    budgets = {name: found.budgets[name] for name in named if name in found.budgets}
-    return answers.write_in_effect(found.at, known.text, [one.text for one in written], found.missing, budgets)
+    named = sorted({one.budget for one in written if one.budget is not None} & found.budgets.keys())
+    return b'%b,"curves":[%b],"budgets":{%b},"missing":%b}' % (
+        to_json({"at": format_instant(found.at), "as_of": known.text})[:-1],
+        b",".join(one.text for one in written),
+        ",".join(f"{json.dumps(name)}:{found.budgets[name]}" for name in named).encode(),
+        to_json([answers.describe_scope(path) for path in found.missing]),
+    )
 
 
 def _write_curve(curve: CurveInEffect) -> WrittenCurve:
@@ -175,13 +179,16 @@ def _describe_curve(curve: CurveInEffect) -> dict[str, Any]:
         "factor": told.factor.tolist(),
         "flag": [UNCERTAIN if reasons and flag == OK else flag for flag in told.curve.flags.tolist()],
         "flag_reason": "; ".join(reasons) or None,
-        "reference": None if chain is None else answers.describe_reference(chain, told.cable),
+        "reference": None if chain is None else fill_answer(
+            wire.ReferenceAnswer, chain, paths=len(chain.members), cable=told.cable, cables=chain.cables.digest,
+            spreads=None if chain.spreads is None else chain.spreads.digest,
+        ),
         "valid": answers.describe_stretch(promotion.valid_from, promotion.valid_to),
         "held": curve.is_held,
         "trace": [fill_answer(wire.TraceAnswer, one, promotion=one.number) for one in curve.trace],
         "epoch": fill_answer(wire.EpochAnswer, curve.epoch),
         "why": curve.why,
-    }
+    }  # fmt: skip
 
 
 def _keeping(*ids: str) -> str:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from lbacal.instants import format_instant, format_optional
+from lbacal.instants import format_optional
 from lbacal_core.curves.curves import list_numbers
-from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.curves.validity import Instant, Promotion, Scope
 from service.errors import NotAcceptableError
 from service.wire.answer_models import INSTANT, Answer, PromotionLine
@@ -70,38 +69,6 @@ def describe_stretch(start: Instant | None, end: Instant | None, **also: Any) ->
 def describe_promotion(promotion: Promotion) -> dict[str, Any]:
     """Describe one line of the ledger."""
     return fill_answer(PromotionLine, promotion, promotion=promotion.number)
-
-
-def describe_reference(chain: ReferenceChain, cable: str | None) -> dict[str, Any]:
-    """Describe the reference of a curve: number of paths, the path's cable, and the hashes that fix the conversion."""
-    jensen = chain.jensen
-    return {
-        "paths": len(chain.members),
-        "cable": cable,
-        "cables": chain.cables.digest,
-        "spreads": None if chain.spreads is None else chain.spreads.digest,
-        "jensen": None if jensen is None else jensen.tolist(),
-    }
-
-
-def write_in_effect(
-    at: Instant, as_of: str | None, curves: Iterable[bytes], missing: Sequence[Scope], budgets: Mapping[str, str]
-) -> bytes:
-    """The answer to "in effect at" as JSON, from curves as texts; `missing` names paths for which nothing is in effect.
-
-    `budgets` holds the texts of those that the curves name.
-    """
-    described = ",".join(f"{json.dumps(name)}:{budgets[name]}" for name in sorted(budgets)).encode()
-    return b'%b,"curves":[%b],"budgets":{%b},"missing":%b}' % (
-        to_json(_describe_question(at, as_of))[:-1],
-        b",".join(curves),
-        described,
-        to_json([describe_scope(path) for path in missing]),
-    )
-
-
-def _describe_question(at: Instant, as_of: str | None) -> dict[str, Any]:
-    return {"at": format_instant(at), "as_of": as_of}
 
 
 # Which format an answer has: `format=` decides, else the header Accept, as far as we can serve it.
