@@ -13,7 +13,6 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import (
-    BigInteger,
     ColumnElement,
     Connection,
     Row,
@@ -399,10 +398,11 @@ class SpectraStore(Store):
             place = {one.id: k for k, one in enumerate(paths)}
             grouped = groupby(rows, key=lambda row: row.path)
             return len(rows), ((place[path_id], [row[1:] for row in of_path]) for path_id, of_path in grouped)
-        bounds = _bounds(window)
-        found = (self._connection.execute(_OF_A_PATH, {"path": one.id, **bounds}).all() for one in paths)
-        most = len(paths) * int(self._connection.execute(_COUNT_OF_EVENTS, bounds).scalar_one())
-        return most, ((k, of_path) for k, of_path in enumerate(found) if of_path)
+        of_path = _usable(select(*_COLUMNS), window).order_by(spectrum.c.event)
+        found = (self._connection.execute(of_path.where(spectrum.c.path == one.id)).all() for one in paths)
+        events = select(func.count()).select_from(event).where(*_of_events(_near(window), event.c.flag.is_(None)))
+        most = len(paths) * int(self._connection.execute(events).scalar_one())
+        return most, ((k, rows) for k, rows in enumerate(found) if rows)
 
     def _covariates(self, numbers: NDArray[np.int64]) -> dict[str, Floats]:
         """Covariates by name at the events of some row numbers, shape (row,); NaN where unknown."""
@@ -523,8 +523,7 @@ class SpectraStore(Store):
     def newest_event(self, window: Window) -> int:
         """The number of the event that came last into a window, of whatever scope; 0 where there is none."""
         newest = select(func.coalesce(func.max(event.c.id), 0))
-        newest = newest.where(event.c.time_us >= window.since - EVENT_SPAN_US)
-        newest = newest.where(event.c.time_us < window.until + EVENT_SPAN_US)
+        newest = newest.where(*_of_events(_near(window)))
         return int(self._connection.execute(newest).scalar_one())
 
     def stations_with(self, since: Instant, until: Instant, least: int) -> dict[str, Content]:
@@ -619,11 +618,15 @@ class SpectraStore(Store):
 
 def _usable(statement: Select[Any], window: Window) -> Select[Any]:
     """Restrict a statement to the spectra that a fit of a window uses."""
-    near = Window(window.since - EVENT_SPAN_US, window.until + EVENT_SPAN_US)
     return _joined(statement).where(
-        *_of_scope(window.scope), *_of_events(near, event.c.flag.is_(None)), spectrum.c.far.is_(None),
+        *_of_scope(window.scope), *_of_events(_near(window), event.c.flag.is_(None)), spectrum.c.far.is_(None),
         spectrum.c.time_us >= window.since, spectrum.c.time_us < window.until,
     )  # fmt: skip
+
+
+def _near(window: Window) -> Window:
+    """Where the events of its spectra lie."""
+    return Window(window.since - EVENT_SPAN_US, window.until + EVENT_SPAN_US)
 
 
 def _of_events(window: Window, *more: ColumnElement[bool]) -> tuple[ColumnElement[bool], ...]:
@@ -636,28 +639,7 @@ def _of_scope(scope: Scope) -> list[ColumnElement[bool]]:
     return equal(path, station=scope.station, antenna=scope.antenna, dipole=dipole)
 
 
-def _bounds(window: Window) -> dict[str, Instant]:
-    """The window, and the one in which its events lie."""
-    near = {"near_since": window.since - EVENT_SPAN_US, "near_until": window.until + EVENT_SPAN_US}
-    return {"since": window.since, "until": window.until, **near}
-
-
-_OF_USABLE_EVENTS = (
-    event.c.flag.is_(None),
-    event.c.time_us >= bindparam("near_since", type_=BigInteger),
-    event.c.time_us < bindparam("near_until", type_=BigInteger),
-)
-_COUNT_OF_EVENTS = select(func.count()).select_from(event).where(*_OF_USABLE_EVENTS)
-"""How many spectra a path of a window may have."""
 _COLUMNS = spectrum.c.event, spectrum.c.time_us, spectrum.c.blocks, spectrum.c.power, event.c.event_id
-_OF_A_PATH = (
-    select(*_COLUMNS)
-    .join(event, event.c.id == spectrum.c.event)
-    .where(spectrum.c.path == bindparam("path", type_=BigInteger), spectrum.c.far.is_(None), *_OF_USABLE_EVENTS)
-    .where(spectrum.c.time_us >= bindparam("since", type_=BigInteger))
-    .where(spectrum.c.time_us < bindparam("until", type_=BigInteger))
-    .order_by(spectrum.c.event)
-)
 
 
 def _joined(statement: Select[Any]) -> Select[Any]:
