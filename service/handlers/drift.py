@@ -77,13 +77,10 @@ def describe_step(step: Step) -> dict[str, Any]:
 
 def describe_slope(slope: Mapping[str, Any]) -> dict[str, Any]:
     """A slope as JSON values: that of a path beside its station, or that of C itself."""
-    optional = ("limit_95", "years", "scatter", "significance", "shape", "frequency")
     is_own = "significance" in slope
-    season = slope["season"] if is_own else math.hypot(*slope["season"][:2])
     return {
-        **{name: slope[name] for name in ("slope", "sigma")},
-        **{name: slope.get(name) for name in optional},
-        "season": season,
+        **{name: slope.get(name) for name in wire.DriftSlope.model_fields},
+        "season": slope["season"] if is_own else math.hypot(*slope["season"][:2]),
         "beside": "the median of its station and polarisation" if is_own else None,
     }
 
