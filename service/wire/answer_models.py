@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, create_model
+from pydantic import BaseModel, Field, create_model
 
 INSTANT = "an instant, which values of the service hold in microseconds"
 Moment = Annotated[str, INSTANT]
 MomentOrNone = Annotated[str | None, INSTANT]
 
 
-class Answer(BaseModel):
+class Answer(BaseModel, strict=True, extra="forbid"):
     """Base of all answers: nothing that is not told."""
-
-    model_config = ConfigDict(strict=True, extra="forbid")
 
 
 def _page(noun: str, of: type[Answer], cursor: type[int | str], field: str = "") -> type[Answer]:
@@ -189,10 +187,8 @@ class Fitted(Answer):
     sigma: float
 
 
-class CurveAnswer(PathAnswer):
+class CurveAnswer(PathAnswer, extra="allow"):
     """A curve as in fit.json (docs/formats/fit-report.md), which may hold more fields than these."""
-
-    model_config = ConfigDict(strict=True, extra="allow")
 
     status: str
     events: int
@@ -205,10 +201,8 @@ class CurveAnswer(PathAnswer):
     parameters: dict[str, Fitted]
 
 
-class Stretch(Answer):
+class Stretch(Answer, populate_by_name=True):
     """A half-open interval; null is open."""
-
-    model_config = ConfigDict(strict=True, extra="forbid", populate_by_name=True)
 
     start: MomentOrNone = Field(alias="from")
     end: MomentOrNone = Field(alias="to")
@@ -277,10 +271,8 @@ class BudgetAnswer(Answer):
     terms: list[BudgetTermAnswer]
 
 
-class InEffectAnswer(Answer):
+class InEffectAnswer(Answer, extra="allow"):
     """The calibration in effect at an instant."""
-
-    model_config = ConfigDict(strict=True, extra="allow")
 
     at: Moment
     as_of: str | None = Field(description="as it was asked")
@@ -336,10 +328,8 @@ class EdgesAnswer(Answer):
     stations: list[StationEdges]
 
 
-class VersionAnswer(PathAnswer):
+class VersionAnswer(PathAnswer, extra="allow"):
     """A version without its curves."""
-
-    model_config = ConfigDict(strict=True, extra="allow")
 
     id: str
     scope: Level
@@ -415,10 +405,8 @@ class PromotionLine(PathAnswer):
     reason: str
 
 
-class PromotionAnswer(ChangesAnswer, PromotionLine):
+class PromotionAnswer(ChangesAnswer, PromotionLine, extra="allow"):
     """A promotion and what it changes."""
-
-    model_config = ConfigDict(strict=True, extra="allow")
 
 
 class PromotionsAnswer(ChangesAnswer):
@@ -588,10 +576,8 @@ class SizeAnswer(Fitted):
     unit: Literal["fraction of C"] = "fraction of C"
 
 
-class EvidenceAnswer(Answer):
+class EvidenceAnswer(Answer, populate_by_name=True):
     """The source of a change."""
-
-    model_config = ConfigDict(strict=True, extra="forbid", populate_by_name=True)
 
     source: Literal["drift", "investigation", "record", "person"] = Field(alias="from")
     ref: str = Field(description="id of the investigation and number of the finding, or who entered it")
