@@ -28,10 +28,8 @@ GIVEN_UP = "given up: the scheduler has another instrument, sky power or model v
 """The error of due parts that were never tried: with the inputs of now they are due at once."""
 
 
-class LeaseLostError(ConflictError):
+class LeaseLostError(ConflictError, code="lease_lost"):
     """The part is no longer this worker's: it was silent for too long, or the job was cancelled."""
-
-    code = "lease_lost"
 
 
 @dataclass(frozen=True)
