@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from service.usecases.life import Lives
     from service.usecases.models import Models
     from service.usecases.orders import Inputs
-    from service.usecases.payoff import Payoff
     from service.usecases.predictions import Predictions
     from service.usecases.refits import Jobs, Refits
     from service.usecases.watch import Watch
@@ -121,7 +120,7 @@ class Factory:
 
         limits_of_gate = ("gate_change", "gate_error", "gate_coverage", "gate_band")
         gate = Gate(*(getattr(self.settings, name) for name in limits_of_gate))
-        return Refits(self.database, self.simulation, self.fits, self.payoff, gate, self.settings, self.clock)
+        return Refits(self.database, self.simulation, self.fits, gate, self.settings, self.clock)
 
     @cached_property
     def fits(self) -> Fits:
@@ -129,13 +128,6 @@ class Factory:
         from service.usecases.fits import Fits
 
         return Fits(self.simulation, self.settings.resistance_ohm, self.clock)
-
-    @cached_property
-    def payoff(self) -> Payoff:
-        """The gain of adopted causes on later events."""
-        from service.usecases.payoff import Payoff
-
-        return Payoff(self.simulation, self.clock)
 
     @cached_property
     def models(self) -> Models:

@@ -33,7 +33,7 @@ from service.usecases.fits import (
 )
 from service.usecases.gate import Gate, find_predecessors, find_shift
 from service.usecases.orders import name_inputs, place_order, read_window
-from service.usecases.payoff import Payoff
+from service.usecases.payoff import find_known_until, measure_payoff
 from service.usecases.windows import ALONE, Neighbours
 from service.wire.bodies import RefitBody
 
@@ -49,7 +49,6 @@ class Refits:
     database: Database
     simulation: Simulation
     fits: Fits
-    payoff: Payoff
     gate: Gate
     settings: Settings
     clock: Callable[[], Instant]
@@ -93,10 +92,10 @@ class Refits:
             spectra = self.fits.load(stores, wanted)
             is_alone = part.request.get("fit") == "year"
             neighbours = ALONE if is_alone else self.fits.find_neighbours(stores, wanted)
-            known = self.payoff.known_until(stores, wanted)
+            known = find_known_until(stores, wanted)
         whole = self.fits.fit_causes(spectra, wanted.model)
         made = self.fits.make(whole, wanted, neighbours)
-        gains = self.payoff.measure(whole, wanted, known)
+        gains = measure_payoff(whole, wanted, known, self.simulation, self.clock())
         with self.database.write() as stores:
             said = _read_said(stores, block) if part.is_due else {}
             kept = self._keep(stores, made.versions, part, said)
