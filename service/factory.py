@@ -29,7 +29,6 @@ from service.wire.hdf5_body import FileReader
 
 if TYPE_CHECKING:
     from lbacal_core.simulation.simulation import Simulation
-    from service.usecases.bad_antennas import BadAntennas
     from service.usecases.drift_measurement import DriftMeasurement
     from service.usecases.due import DueWork
     from service.usecases.fits import Fits
@@ -159,13 +158,6 @@ class Factory:
     def changes(self) -> Changes:
         """Changes of paths, and the decisions on them."""
         return Changes(self.database, self.instrument, self.promotions, lambda: self.fits, self.clock)
-
-    @cached_property
-    def bad_antennas(self) -> BadAntennas:
-        """Antennas not to be used."""
-        from service.usecases.bad_antennas import BadAntennas
-
-        return BadAntennas(self.database, self.instrument)
 
     @cached_property
     def lives(self) -> Lives:

@@ -12,6 +12,7 @@ from service.handlers.drift import describe_alarm, describe_change
 from service.handlers.models import describe_investigation, describe_model
 from service.handlers.request import InPath, UseCases, Whole, answer
 from service.handlers.routes import reads
+from service.usecases.bad_antennas import list_bad
 from service.usecases.life import Life
 from service.wire.answer_models import (
     BadAntennasAnswer,
@@ -58,7 +59,7 @@ def get_bad_antennas(request: Request, use: UseCases, at: str | None = None, sta
     instant = use.clock() if at is None else parse_instant("at", at)
     bad = [
         fill_answer(BadPathAnswer, one, **describe_scope(one.path), reason=one.sentence)
-        for one in use.bad_antennas.at(instant, station)
+        for one in list_bad(use.database, use.instrument, instant, station)
     ]
     return answer(request, {"at": format_instant(instant), "bad": bad})
 
