@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from service.usecases.models import Models
     from service.usecases.orders import Inputs
     from service.usecases.predictions import Predictions
-    from service.usecases.refits import Jobs, Refits
+    from service.usecases.refits import Refits
     from service.usecases.watch import Watch
 
 BLOCKS_REMEMBERED = 16
@@ -185,13 +185,6 @@ class Factory:
 
         searches = self.investigations if self.settings.nightly_investigations else None
         return DueWork(self.database, self.simulation, self.clock, searches, self.watch)
-
-    @cached_property
-    def jobs(self) -> Jobs:
-        """A requested job and its progress."""
-        from service.usecases.refits import Jobs
-
-        return Jobs(self.database, self.clock)
 
     @cached_property
     def status(self) -> Status:

@@ -18,6 +18,7 @@ from service.handlers.request import FORM_COOKIE, SESSION_COOKIE, InPath, UseCas
 from service.handlers.session import Form, read_form
 from service.page.render import render_page
 from service.storage.jobs import Job
+from service.usecases.orders import stop_job
 from service.usecases.promotions import Change, Plan
 from service.wire import bodies
 from service.wire.answers import to_json
@@ -154,7 +155,7 @@ def _get_job(use: Factory, target: str) -> Job:
 def _cancel(use: Factory, target: str, body: bodies.ReasonBody, by: str) -> Foreseen:
     job = _get_job(use, target)
     sentence = f"Job {job.number} ({job.kind}, {job.state}) stops; what it has stored stays."
-    return Foreseen([sentence], lambda: use.jobs.cancel(job.number, by, body.reason))
+    return Foreseen([sentence], lambda: stop_job(use.database, use.clock(), job.number, by, body.reason))
 
 
 def _retry(use: Factory, target: str, body: bodies.ReasonBody, by: str) -> Foreseen:

@@ -21,6 +21,7 @@ from service.handlers.request import (
 from service.handlers.routes import Order, acts, ordered, page_of, reads
 from service.storage.jobs import Job
 from service.usecases.keys import Caller
+from service.usecases.orders import stop_job
 from service.wire.answer_models import JobAnswer, JobsAnswer, RefitAnswer
 from service.wire.answers import fill_answer
 from service.wire.bodies import ReasonBody, RefitBody, parse_body
@@ -76,7 +77,7 @@ def cancel_job(
     cannot be stopped (409). Due work that was stopped is tried again after a day.
     """
     reason = parse_body(ReasonBody, body).reason if body else None
-    return answer(request, describe_job(use.jobs.cancel(number, caller.name, reason)))
+    return answer(request, describe_job(stop_job(use.database, use.clock(), number, caller.name, reason)))
 
 
 def describe_job(job: Job) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from lbacal_core.provenance import MODEL_VERSION, canonical_json, hash_arrays
 from lbacal_core.spectra.spectra import Spectra
 from service.errors import ConflictError, TooManyError
 from service.storage.database import Database, Stores
-from service.storage.jobs import Order
+from service.storage.jobs import Job, Order
 from service.storage.keys import Deed
 
 if TYPE_CHECKING:
@@ -44,6 +44,13 @@ def place_order(stores: Stores, order: Order, most: int, clock: Callable[[], Ins
     if number is None:
         raise ConflictError("the job could not be made")
     return number
+
+
+def stop_job(database: Database, now: Instant, number: int, by: str, reason: str | None = None) -> Job:
+    """Stop a job; what it has already stored stays."""
+    with database.write() as stores:
+        stores.jobs.cancel(number, now, by, reason)
+        return stores.jobs.get(number)
 
 
 # What a fit is made with besides spectra: the scheduler names it in the part, and only a worker that has it may begin.

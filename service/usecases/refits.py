@@ -15,7 +15,7 @@ from lbacal_core.simulation.simulation import Simulation
 from service.config import Settings
 from service.errors import ConflictError
 from service.storage.database import Database, Stores
-from service.storage.jobs import Job, Order, Part
+from service.storage.jobs import Order, Part
 from service.storage.sums import KeptPiece, Sums, Told, read_pieces
 from service.storage.versions import Examined, Version
 from service.usecases.calibrations import select_paths
@@ -324,17 +324,3 @@ def describe_part(
         "scope": scope, "station": of.station, "antenna": of.antenna, "dipole": of.dipole,
         "since": since, "until": until, "promote": promote, **({} if model.is_plain else {"model": model.id}),
     }  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Jobs:
-    """Stops jobs."""
-
-    database: Database
-    clock: Callable[[], Instant]
-
-    def cancel(self, number: int, by: str, reason: str | None = None) -> Job:
-        """Stop a job; what it has already stored stays."""
-        with self.database.write() as stores:
-            stores.jobs.cancel(number, self.clock(), by, reason)
-            return stores.jobs.get(number)
