@@ -20,11 +20,13 @@ from service.usecases.alarms import Alarms
 from service.usecases.calibrations import Calibrations
 from service.usecases.changes import Changes
 from service.usecases.drift import Drift
+from service.usecases.gate import Gate
 from service.usecases.intake import Intake
 from service.usecases.keys import Keys
-from service.usecases.orders import Deeds
+from service.usecases.orders import Deeds, Inputs, name_inputs
 from service.usecases.promotions import Promotions, Tags
 from service.usecases.status import Status
+from service.usecases.watch import Watch
 from service.wire.hdf5_body import FileReader
 
 if TYPE_CHECKING:
@@ -35,10 +37,8 @@ if TYPE_CHECKING:
     from service.usecases.investigations import Investigations
     from service.usecases.life import Lives
     from service.usecases.models import Models
-    from service.usecases.orders import Inputs
     from service.usecases.predictions import Predictions
     from service.usecases.refits import Refits
-    from service.usecases.watch import Watch
 
 BLOCKS_REMEMBERED = 16
 """Single fits of stations' years and polarisations that stay in a worker's memory: those of an array's year, 150 MB."""
@@ -100,8 +100,6 @@ class Factory:
     @cached_property
     def inputs(self) -> Inputs:
         """Instrument, sky power and settings that fits are made with here, besides spectra."""
-        from service.usecases.orders import name_inputs
-
         return name_inputs(self.simulation)
 
     @cached_property
@@ -114,7 +112,6 @@ class Factory:
     @cached_property
     def refits(self) -> Refits:
         """New versions."""
-        from service.usecases.gate import Gate
         from service.usecases.refits import Refits
 
         limits_of_gate = ("gate_change", "gate_error", "gate_coverage", "gate_band")
@@ -169,8 +166,6 @@ class Factory:
     @cached_property
     def watch(self) -> Watch:
         """The search for steps, slopes and lost paths."""
-        from service.usecases.watch import Watch
-
         return Watch(self.database, self.instrument, self.settings.cut_windows, self.clock)
 
     @cached_property
