@@ -23,7 +23,7 @@ from service.usecases.drift import Drift
 from service.usecases.gate import Gate
 from service.usecases.intake import Intake
 from service.usecases.keys import Keys
-from service.usecases.orders import Deeds, Inputs, name_inputs
+from service.usecases.orders import Inputs, name_inputs
 from service.usecases.promotions import Promotions, Tags
 from service.usecases.status import Status
 from service.usecases.watch import Watch
@@ -185,11 +185,6 @@ class Factory:
     def status(self) -> Status:
         """The status of the service, for an operator."""
         return Status(self.database, self.clock)
-
-    @cached_property
-    def deeds(self) -> Deeds:
-        """Idempotent requests, each done once under its name."""
-        return Deeds(self.database, self.clock)
 
     @cached_property
     def keys(self) -> Keys:

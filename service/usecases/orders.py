@@ -101,45 +101,40 @@ def explain_difference(needed: str, found: str) -> str:
 LONGEST_NAME = 200
 
 
-@dataclass(frozen=True)
-class Deeds:
-    """Executes requests, once for each idempotency key."""
+def do_once(
+    database: Database, now: Instant, by: str, name: str | None, request: bytes, do: Callable[[], bytes]
+) -> bytes:
+    """Execute a request and return its answer, or the stored answer of the same idempotency key.
 
-    database: Database
-    clock: Callable[[], Instant]
+    Request and answer are one transaction: if the answer cannot be written, the request has no effect.
 
-    def once(self, by: str, name: str | None, request: bytes, do: Callable[[], bytes]) -> bytes:
-        """Execute a request and return its answer, or the stored answer of the same idempotency key.
+    Parameters
+    ----------
+    name
+        The `Idempotency-Key` that the caller chose; None does it in any case.
+    request
+        What was asked, whole; something else under the same name is a conflict.
+    """
+    if name is None:
+        with database.write():
+            return do()
+    _require_printable(name)
+    with database.write() as stores:
+        earlier = stores.deeds.begin(by, name, _digest(request), now)
+        if earlier is not None:
+            return _answer_of(earlier, name, request)
+        answer = do()
+        stores.deeds.end(by, name, answer.decode())
+        return answer
 
-        Request and answer are one transaction: if the answer cannot be written, the request has no effect.
 
-        Parameters
-        ----------
-        name
-            The `Idempotency-Key` that the caller chose; None does it in any case.
-        request
-            What was asked, whole; something else under the same name is a conflict.
-        """
-        if name is None:
-            with self.database.write():
-                return do()
-        _require_printable(name)
-        with self.database.write() as stores:
-            earlier = stores.deeds.begin(by, name, _digest(request), self.clock())
-            if earlier is not None:
-                return _answer_of(earlier, name, request)
-            answer = do()
-            stores.deeds.end(by, name, answer.decode())
-            return answer
-
-    def recall(self, by: str, name: str | None, request: bytes) -> bytes | None:
-        """The stored answer of an idempotency key, for requests that take long to work out; None if there is none."""
-        if name is None:
-            return None
-        _require_printable(name)
-        with self.database.read() as stores:
-            earlier = stores.deeds.find(by, name)
-        return None if earlier is None else _answer_of(earlier, name, request)
+def recall_answer(database: Database, by: str, name: str | None, request: bytes) -> bytes | None:
+    """The stored answer of an idempotency key, for requests that take long to work out; None if there is none."""
+    if name is None:
+        return None
+    _require_printable(name)
+    earlier = database.look(lambda stores: stores.deeds.find(by, name))
+    return None if earlier is None else _answer_of(earlier, name, request)
 
 
 def _require_printable(name: str) -> None:
