@@ -34,11 +34,8 @@ _DIGEST = re.compile(r"[0-9a-f]{64}")
 NOT_FOUND = 404
 
 
-class CacheError(LbacalError):
+class CacheError(LbacalError, status=500, code="cache"):
     """The cache cannot answer: the tag is not there, or a file is damaged."""
-
-    status = 500
-    code = "cache"
 
 
 class Source(Protocol):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import h5py
 import numpy as np
 
-from lbacal.instants import parse_instant
+from lbacal.instants import SECOND_US, parse_instant
 from lbacal_core.curves.galcal import make_head
 from lbacal_core.errors import BadInputError, MissingExtraError
 from lbacal_core.grids import Floats
@@ -22,7 +22,6 @@ JONES = {"X": -5, "Y": -6}
 """AIPS numbers of the gains of linear feeds (AIPS memo 117)."""
 SUBBANDS, SUBBAND_MHZ = 512, 100.0 / 512
 """Sub-bands of a LOFAR station and their spacing, clock of 200 MHz, first Nyquist zone."""
-MICROSECONDS = 1e6
 UNIX_EPOCH_JD, DAY_S = 2440587.5, 86_400.0
 
 
@@ -157,7 +156,7 @@ def _interval_jd(content: Mapping[str, Any], curves: list[dict[str, Any]]) -> tu
 
 
 def _to_jd(text: str) -> float:
-    return UNIX_EPOCH_JD + parse_instant("valid", text) / MICROSECONDS / DAY_S
+    return UNIX_EPOCH_JD + parse_instant("valid", text) / SECOND_US / DAY_S
 
 
 def _require_at(content: Mapping[str, Any]) -> str:

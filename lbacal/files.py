@@ -15,11 +15,8 @@ _IN_HDF5 = re.compile(r"errno = [0-9]+, error message = '([^']*)'")
 """How the HDF5 library says what the system said; when it closes a file, in a RuntimeError."""
 
 
-class UnwritableError(LbacalError):
+class UnwritableError(LbacalError, status=500, code="unwritable"):
     """A file that cannot be written, as on a full disk."""
-
-    status = 500
-    code = "unwritable"
 
     def __init__(self, path: Path, error: OSError | RuntimeError) -> None:
         of_hdf5 = _IN_HDF5.search(str(error))

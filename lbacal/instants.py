@@ -13,7 +13,7 @@ EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 MICROSECOND = timedelta(microseconds=1)
 MJD_OF_EPOCH = 40_587
 LAST_MJD = 100_000
-DAY_US = 86_400_000_000
+SECOND_US, DAY_US = 1_000_000, 86_400_000_000
 EXPECTED = "an ISO 8601 date or instant such as 2014-05-01 or 2014-05-01T12:30:00Z (naive = UTC)"
 FIRST = (datetime(1, 1, 1, tzinfo=UTC) - EPOCH) // MICROSECOND
 LAST = (datetime(9999, 12, 31, 23, 59, 59, 999_999, tzinfo=UTC) - EPOCH) // MICROSECOND

@@ -45,11 +45,8 @@ class RefusedError(LbacalError):
         self.code = code
 
 
-class UnreachableError(LbacalError):
+class UnreachableError(LbacalError, status=503, code="unreachable"):
     """No server answers."""
-
-    status = 503
-    code = "unreachable"
 
 
 @dataclass

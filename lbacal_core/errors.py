@@ -19,18 +19,18 @@ class LbacalError(Exception):
     code = "failed"
     detail = ""
 
+    def __init_subclass__(cls, status: int | None = None, code: str | None = None) -> None:
+        cls.status, cls.code = status or cls.status, code or cls.code
+
     def __init__(self, sentence: str) -> None:
         super().__init__(_on_one_line(sentence))
 
 
-class BadInputError(LbacalError):
+class BadInputError(LbacalError, status=422, code="bad_input"):
     """Input that does not follow its format: names the place, what was expected and what was found.
 
     The place is a file, a field and, where there is one, a row: ``spectra.h5: power, row 17``.
     """
-
-    status = 422
-    code = "bad_input"
 
     def __init__(self, place: str, expected: str, found: str) -> None:
         self.place = place
@@ -41,18 +41,12 @@ class BadInputError(LbacalError):
         super().__init__(f"{place}: expected {expected}, found {self.found}")
 
 
-class UnreadableFileError(LbacalError):
+class UnreadableFileError(LbacalError, status=400, code="unreadable_file"):
     """A file that is missing, empty, truncated or of another kind."""
 
-    status = 400
-    code = "unreadable_file"
 
-
-class UnknownNameError(LbacalError):
+class UnknownNameError(LbacalError, status=404, code="unknown_name"):
     """A name that nothing answers to; the message offers the one that may be meant, and lists those that exist."""
-
-    status = 404
-    code = "unknown_name"
 
     def __init__(self, kind: str, name: str, known: list[str]) -> None:
         near = near_name(name, known)
@@ -72,10 +66,8 @@ def near_name(name: str, known: Sequence[str]) -> str | None:
     return plain[found[0]] if found else None
 
 
-class MissingExtraError(LbacalError):
+class MissingExtraError(LbacalError, code="missing_extra"):
     """A part of the package that is not installed where it is needed."""
-
-    code = "missing_extra"
 
     def __init__(self, what: str, extra: str) -> None:
         super().__init__(f"{what} needs the extra {extra}: pip install 'lbacal[{extra}]'")

@@ -53,7 +53,7 @@ def build_station(
         "adc": antenna.mean(axis=(0, 1, 2)) * mean_loss * receiver,
     }
     levels = {
-        name: _geometric_mean(np.interp(frequency, terms["mhz"], terms[name] / terms["sky"]) * sky * carried)
+        name: _typical(np.interp(frequency, terms["mhz"], terms[name] / terms["sky"]) * sky * carried)
         * float(np.exp(rng.normal(scale=settings.noise_level)))
         for name, carried in forward.items()
     }
@@ -112,7 +112,7 @@ def _cable_loss(instrument: Instrument, scene: Scene) -> Floats:
     return np.asarray(np.array([instrument.cables[name] for name in names])[index][:, None])
 
 
-def _geometric_mean(values: Floats) -> float:
+def _typical(values: Floats) -> float:
     return float(np.exp(np.log(values).mean()))
 
 
@@ -307,7 +307,3 @@ def _known(stage: Stage, form: Floats, constants: dict[str, float], rng: np.rand
     if stage.error_k:
         constants[f"n_{stage.name}"] = planted
     return np.asarray(stage.noise_k * planted / mean * form)
-
-
-def _typical(values: Floats) -> float:
-    return float(np.exp(np.log(values).mean()))

@@ -1,7 +1,6 @@
-"""The twin in voltages: noise through the chain, transmitters, an air shower, 12-bit converters, frames of a dump.
+"""The twin in voltages: noise, transmitters, an air shower, 12-bit converters, frames of a dump.
 
-Works from raw physics: every noise source is drawn in time and sent through the amplitude response of the stages behind
-it; nothing here knows how the traces will be cleaned. Voltages are in ADC units across R_r.
+Works from raw physics; nothing here knows how the traces will be cleaned. Voltages are in ADC units across R_r.
 """
 
 from __future__ import annotations
@@ -23,7 +22,6 @@ from lbacal_core.traces.trace import (
     header_checksums,
     sample_checksums,
 )
-from lbacal_twin.hardware import Stages
 
 SAMPLE_RATE_HZ = 200e6
 EDGE_MHZ = 3.0
@@ -111,50 +109,6 @@ def draw_noise(density: Floats, density_mhz: Floats, samples: int, rng: np.rando
     spectrum = amplitude * (rng.normal(size=frequency.size) + 1j * rng.normal(size=frequency.size))
     spectrum[0] = 0.0
     return np.asarray(np.fft.irfft(spectrum, samples))
-
-
-def draw_chain_voltage(
-    stages: Stages,
-    frequency_mhz: Floats,
-    path: tuple[int, int, int],
-    samples: int,
-    rng: np.random.Generator,
-    resistance_ohm: float = 50.0,
-) -> Floats:
-    """Draw what reaches the converter of one path in one event, every noise source by itself.
-
-    Parameters
-    ----------
-    stages
-        The chain of a station.
-    path
-        Indices of antenna, dipole and event.
-
-    Returns
-    -------
-    Shape (sample,), ADC units.
-    """
-    at = {
-        name: np.broadcast_to(getattr(stages, name), _full_shape(stages, frequency_mhz.size))[path]
-        for name in stages.__dataclass_fields__
-    }
-    behind_antenna = at["gain"] * at["antenna"] * at["cable"] * at["receiver"]
-    sources = (
-        at["sky"] * behind_antenna,
-        at["lna_noise"] * behind_antenna,
-        at["rcu_noise"] * at["receiver"],
-    )
-    voltage = np.zeros(samples)
-    for power in sources:
-        voltage += draw_noise(np.asarray(power) * resistance_ohm, frequency_mhz, samples, rng)
-    level = float(np.mean(at["adc_noise"])) * resistance_ohm  # white from 0 to half the sample rate
-    voltage += rng.normal(scale=np.sqrt(level * 1e-6 * SAMPLE_RATE_HZ / 2.0), size=samples)
-    return voltage
-
-
-def _full_shape(stages: Stages, channels: int) -> tuple[int, ...]:
-    shapes = [getattr(stages, name).shape for name in stages.__dataclass_fields__]
-    return np.broadcast_shapes(*shapes, (1, 1, 1, channels))
 
 
 def digitise(

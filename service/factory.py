@@ -20,27 +20,25 @@ from service.usecases.alarms import Alarms
 from service.usecases.calibrations import Calibrations
 from service.usecases.changes import Changes
 from service.usecases.drift import Drift
+from service.usecases.gate import Gate
 from service.usecases.intake import Intake
 from service.usecases.keys import Keys
-from service.usecases.orders import Deeds, Limits
+from service.usecases.orders import Inputs, name_inputs
 from service.usecases.promotions import Promotions, Tags
 from service.usecases.status import Status
+from service.usecases.watch import Watch
 from service.wire.hdf5_body import FileReader
 
 if TYPE_CHECKING:
     from lbacal_core.simulation.simulation import Simulation
-    from service.usecases.bad_antennas import BadAntennas
     from service.usecases.drift_measurement import DriftMeasurement
     from service.usecases.due import DueWork
     from service.usecases.fits import Fits
     from service.usecases.investigations import Investigations
     from service.usecases.life import Lives
     from service.usecases.models import Models
-    from service.usecases.orders import Inputs
-    from service.usecases.payoff import Payoff
     from service.usecases.predictions import Predictions
-    from service.usecases.refits import Jobs, Refits
-    from service.usecases.watch import Watch
+    from service.usecases.refits import Refits
 
 BLOCKS_REMEMBERED = 16
 """Single fits of stations' years and polarisations that stay in a worker's memory: those of an array's year, 150 MB."""
@@ -102,8 +100,6 @@ class Factory:
     @cached_property
     def inputs(self) -> Inputs:
         """Instrument, sky power and settings that fits are made with here, besides spectra."""
-        from service.usecases.orders import name_inputs
-
         return name_inputs(self.simulation)
 
     @cached_property
@@ -116,12 +112,11 @@ class Factory:
     @cached_property
     def refits(self) -> Refits:
         """New versions."""
-        from service.usecases.gate import Gate
         from service.usecases.refits import Refits
 
         limits_of_gate = ("gate_change", "gate_error", "gate_coverage", "gate_band")
         gate = Gate(*(getattr(self.settings, name) for name in limits_of_gate))
-        return Refits(self.database, self.simulation, self.fits, self.payoff, gate, self._limits, self.clock)
+        return Refits(self.database, self.simulation, self.fits, gate, self.settings, self.clock)
 
     @cached_property
     def fits(self) -> Fits:
@@ -129,13 +124,6 @@ class Factory:
         from service.usecases.fits import Fits
 
         return Fits(self.simulation, self.settings.resistance_ohm, self.clock)
-
-    @cached_property
-    def payoff(self) -> Payoff:
-        """The gain of adopted causes on later events."""
-        from service.usecases.payoff import Payoff
-
-        return Payoff(self.simulation, self.clock)
 
     @cached_property
     def models(self) -> Models:
@@ -149,7 +137,7 @@ class Factory:
         """Investigations of stored spectra."""
         from service.usecases.investigations import Investigations
 
-        return Investigations(self.database, self.simulation, self.fits, self._limits, self.clock, self.settings.judge)
+        return Investigations(self.database, self.simulation, self.fits, self.settings, self.clock)
 
     @cached_property
     def drift(self) -> Drift:
@@ -169,13 +157,6 @@ class Factory:
         return Changes(self.database, self.instrument, self.promotions, lambda: self.fits, self.clock)
 
     @cached_property
-    def bad_antennas(self) -> BadAntennas:
-        """Antennas not to be used."""
-        from service.usecases.bad_antennas import BadAntennas
-
-        return BadAntennas(self.database, self.instrument)
-
-    @cached_property
     def lives(self) -> Lives:
         """All that happened to a path."""
         from service.usecases.life import Lives
@@ -185,19 +166,12 @@ class Factory:
     @cached_property
     def watch(self) -> Watch:
         """The search for steps, slopes and lost paths."""
-        from service.usecases.watch import Watch
-
         return Watch(self.database, self.instrument, self.settings.cut_windows, self.clock)
 
     @cached_property
     def alarms(self) -> Alarms:
         """Alarms: problems that last."""
-        from service.usecases.models import find_stopped
-
-        return Alarms(
-            self.database, self.clock, self.settings.stale_days, lambda: find_stopped(self.models.history()),
-            self.changes.waiting,
-        )  # fmt: skip
+        return Alarms(self.database, self.clock, self.settings.stale_days, lambda: self.models, self.changes)
 
     @cached_property
     def due(self) -> DueWork:
@@ -208,25 +182,9 @@ class Factory:
         return DueWork(self.database, self.simulation, self.clock, searches, self.watch)
 
     @cached_property
-    def jobs(self) -> Jobs:
-        """A requested job and its progress."""
-        from service.usecases.refits import Jobs
-
-        return Jobs(self.database, self.clock)
-
-    @cached_property
     def status(self) -> Status:
         """The status of the service, for an operator."""
         return Status(self.database, self.clock)
-
-    @cached_property
-    def deeds(self) -> Deeds:
-        """Idempotent requests, each done once under its name."""
-        return Deeds(self.database, self.clock)
-
-    @property
-    def _limits(self) -> Limits:
-        return Limits(self.settings.max_open_parts, self.settings.max_window_days)
 
     @cached_property
     def keys(self) -> Keys:

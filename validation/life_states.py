@@ -165,7 +165,7 @@ def rest(factory: Factory) -> int:
     for nights in range(MOST_NIGHTS):
         jobs = look_for_due_work(factory)
         Worker(factory, "worker").run(threading.Event(), until_idle=True)
-        failed = [one.errors for one in factory.jobs.newest() if one.errors]
+        failed = [one.errors for one in factory.database.look(lambda stores: stores.jobs.newest()) if one.errors]
         require(not failed, f"work failed: {failed}")
         if not jobs:
             return nights

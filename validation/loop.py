@@ -162,7 +162,8 @@ class Service:
         body = InvestigationBody(since=since, until=until, station=STATION.station, reason=REASON)
         number = self.factory.investigations.request(body, REASON)
         self.work()
-        return self.factory.investigations.get(self.factory.jobs.get(number).results[0]["results"][0])
+        with self.factory.database.read() as stores:
+            return stores.investigations.get(stores.jobs.get(number).results[0]["results"][0])
 
     def refit(self, since: str, until: str) -> None:
         """Calibrate the station in a window that is no calendar year."""
@@ -174,7 +175,7 @@ class Service:
 
     def version_of(self, since: str, until: str, model: str | None) -> Version:
         """The station's version of a window that was fitted with a model."""
-        for version in self.factory.calibrations.search(STATION, None, "", 1000):
+        for version in self.factory.database.look(lambda stores: stores.versions.search(STATION, None, "", 1000)):
             if [format_instant(edge)[:10] for edge in version.window] == [since, until] and version.model == model:
                 return version
         raise LookupError(f"no version of {since} to {until} with model {model}")
@@ -235,7 +236,7 @@ def _close(service: Service, years: Years) -> Row:
         service.refit(*years.judged)
     version = service.version_of(*years.judged, plan.model.id)
     adopted, clean = service.in_effect(), years.clean.spectra
-    first = factory.calibrations.get(adopted[0][0][0])
+    first = factory.database.look(lambda stores: stores.versions.get(adopted[0][0][0]))
     (line,) = factory.models.history()
     (gain,) = [one for one in line.gains_of_change if one.since == start_of_year(2016)]
     left = service.investigate(*YEAR)

@@ -70,7 +70,6 @@ class ResonanceFault(Fault):
         raise NotImplementedError
 
 
-@dataclass(frozen=True, kw_only=True)
 class ResonanceShift(ResonanceFault):
     """The resonance moves by `size` MHz."""
 
@@ -79,7 +78,6 @@ class ResonanceShift(ResonanceFault):
         return self.size * strength, np.zeros_like(strength)
 
 
-@dataclass(frozen=True, kw_only=True)
 class ResonanceWidth(ResonanceFault):
     """The resonance widens by the fraction `size`."""
 
@@ -88,7 +86,6 @@ class ResonanceWidth(ResonanceFault):
         return np.zeros_like(strength), self.size * strength
 
 
-@dataclass(frozen=True, kw_only=True)
 class LnaNoiseSlope(Fault):
     """N_LNA rises along frequency by `size` (fraction) per 25 MHz about 55 MHz."""
 
@@ -98,7 +95,6 @@ class LnaNoiseSlope(Fault):
         return replace(stages, lna_noise=stages.lna_noise * factor)
 
 
-@dataclass(frozen=True, kw_only=True)
 class LnaNoiseTemperature(Fault):
     """N_LNA follows the air temperature, `size` (fraction) per 10 K."""
 
@@ -130,7 +126,6 @@ class GainStep(Fault):
         return replace(stages, gain=stages.gain * (1.0 + self.where.mask(scene) * self.size * since(self.date, scene)))
 
 
-@dataclass(frozen=True, kw_only=True)
 class GainDrift(Fault):
     """The gain in front of N_RCU changes by `size` (fraction) a year, through 1 in the middle of the campaign."""
 
@@ -144,7 +139,6 @@ class GainDrift(Fault):
 # Faults of the coaxial cable.
 
 
-@dataclass(frozen=True, kw_only=True)
 class CableLength(Fault):
     """The cable is `size` metres longer than its record.
 
@@ -176,7 +170,6 @@ class CableReflection(Fault):
         return replace(stages, cable=stages.cable * (1.0 + self.where.mask(scene) * self.size * wave))
 
 
-@dataclass(frozen=True, kw_only=True)
 class CableTemperature(Fault):
     """The cable's loss in dB follows the air temperature, `size` (fraction) per 10 K."""
 
@@ -232,7 +225,6 @@ class AdcNoiseStep(Fault):
         return replace(stages, adc_noise=stages.adc_noise * factor)
 
 
-@dataclass(frozen=True, kw_only=True)
 class Compression(Fault):
     """The gain of a path falls by `size` x (its total power / its own mean total power - 1)."""
 
@@ -243,7 +235,6 @@ class Compression(Fault):
         return np.asarray(power * (1.0 - self.where.mask(scene) * self.size * excess))
 
 
-@dataclass(frozen=True, kw_only=True)
 class AdcJitter(Fault):
     """Sampling jitter: white noise in proportion to the integral of nu^2 P.
 

@@ -17,7 +17,6 @@ from lbacal_twin.view import View
 REFERENCE_MHZ = 55.0
 
 
-@dataclass(frozen=True, kw_only=True)
 class SkyFault(Fault):
     """A fault of the sky power that a path receives."""
 
@@ -32,7 +31,6 @@ class SkyFault(Fault):
         raise NotImplementedError
 
 
-@dataclass(frozen=True, kw_only=True)
 class DipoleSwap(SkyFault):
     """Each dipole receives `size` of the other's power; 1: their cables are exchanged."""
 
@@ -42,7 +40,6 @@ class DipoleSwap(SkyFault):
         return (1.0 - self.size) * sky + self.size * sky[:, ::-1]
 
 
-@dataclass(frozen=True, kw_only=True)
 class DipoleAzimuth(SkyFault):
     """Both arms stand `size` degrees east of their record."""
 
@@ -51,7 +48,6 @@ class DipoleAzimuth(SkyFault):
         return sky * scene.view.ratio(lambda _, pattern: pattern, scene.lst_hours, turned_deg=self.size)
 
 
-@dataclass(frozen=True, kw_only=True)
 class LstOffset(SkyFault):
     """The sky is that of `size` hours after the recorded time."""
 
@@ -60,7 +56,6 @@ class LstOffset(SkyFault):
         return sky * scene.sky_at(scene.lst_hours + self.size) / scene.sky_at(scene.lst_hours)
 
 
-@dataclass(frozen=True, kw_only=True)
 class ZenithWeighting(SkyFault):
     """Directions count with a further cos(zenith angle) to the power `size`."""
 
@@ -73,7 +68,6 @@ class ZenithWeighting(SkyFault):
         return sky * scene.view.ratio(weigh, scene.lst_hours)
 
 
-@dataclass(frozen=True, kw_only=True)
 class PatternWidth(SkyFault):
     """The gain at zenith is `size` (fraction) higher at the same total power: the pattern is a power of itself."""
 
@@ -95,7 +89,6 @@ class PatternWidth(SkyFault):
         return sky * scene.view.ratio(narrow, scene.lst_hours)
 
 
-@dataclass(frozen=True, kw_only=True)
 class IsotropicLevel(SkyFault):
     """Further emission from everywhere: `size` of the mean sky power at each frequency."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,7 +15,6 @@ from lbacal_twin.hardware import Scene, Stages
 from lbacal_twin.settings import DAY_S, YEAR_S
 
 
-@dataclass(frozen=True, kw_only=True)
 class MainsHum(Fault):
     """The supply voltage of the cabinet swings twice a day, and the gain with it by the fraction `size` (UTC)."""
 
@@ -25,7 +24,6 @@ class MainsHum(Fault):
         return replace(stages, gain=stages.gain * (1.0 + self.where.mask(scene) * self.size * wave))
 
 
-@dataclass(frozen=True, kw_only=True)
 class WorkingWeek(Fault):
     """A workshop beside the cabinet: N_RCU is `size` (fraction) higher from Monday to Friday."""
 
@@ -35,7 +33,6 @@ class WorkingWeek(Fault):
         return replace(stages, rcu_noise=stages.rcu_noise * (1.0 + self.where.mask(scene) * self.size * (weekday < 5)))
 
 
-@dataclass(frozen=True, kw_only=True)
 class JovianBursts(SkyFault):
     """Jupiter's decametric emission: below 40 MHz, when Jupiter is up and Io stands right; `size` of the sky there."""
 
@@ -51,7 +48,6 @@ class JovianBursts(SkyFault):
         return np.asarray(sky + self.size * level * spectrum * is_bursting * response)
 
 
-@dataclass(frozen=True, kw_only=True)
 class AuroralAbsorption(SkyFault):
     """Absorption at night that returns with the Sun's rotation of 27.3 days; optical depth `size` at 30 MHz."""
 
@@ -63,7 +59,6 @@ class AuroralAbsorption(SkyFault):
         return sky * np.exp(-self.size * activity * (30.0 / scene.frequency_mhz) ** 2)
 
 
-@dataclass(frozen=True, kw_only=True)
 class FieldGradient(SkyFault):
     """A wall beside the field shadows the setting Galaxy, more for the antennas with high numbers."""
 
@@ -74,7 +69,6 @@ class FieldGradient(SkyFault):
         return sky * (1.0 + self.size * place * tilt)
 
 
-@dataclass(frozen=True, kw_only=True)
 class FrostAndHeat(Fault):
     """The gain is lower by `size` (fraction) at 20 K from the best temperature, on either side of it."""
 
@@ -84,7 +78,6 @@ class FrostAndHeat(Fault):
         return replace(stages, gain=stages.gain * factor)
 
 
-@dataclass(frozen=True, kw_only=True)
 class BandSaturation(Fault):
     """One stage saturates between 54 and 62 MHz alone, by `size` x the relative excess of the power there."""
 
@@ -96,7 +89,6 @@ class BandSaturation(Fault):
         return np.asarray(power * (1.0 - self.where.mask(scene) * self.size * excess * window))
 
 
-@dataclass(frozen=True, kw_only=True)
 class Thunderstorms(Fault):
     """Storms of a few hours, in summer: lightning adds `size` of the mean sky power at 30 MHz, as frequency^-3."""
 

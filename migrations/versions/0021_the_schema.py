@@ -5,9 +5,6 @@ What changes the tables later is a migration beside this one, for the databases 
 
 from __future__ import annotations
 
-import sqlalchemy as sa
-from alembic import op
-
 revision = "0021"
 down_revision = None
 branch_labels = None
@@ -16,10 +13,3 @@ depends_on = None
 
 def upgrade() -> None:
     """Change nothing: `migrations/env.py` has made every table."""
-
-
-def downgrade() -> None:
-    """Drop every table."""
-    found = sa.MetaData()
-    found.reflect(op.get_bind())
-    found.drop_all(op.get_bind(), [table for table in found.sorted_tables if table.name != "alembic_version"])

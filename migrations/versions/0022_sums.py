@@ -53,9 +53,3 @@ def upgrade() -> None:
             "ratios", sa.LargeBinary, comment="little-endian f8 (path, month, number); null for the array"
         ),
     )
-
-
-def downgrade() -> None:
-    """Drop the new caches; those of before come back with a backup."""
-    for name in ("sums", "drift_year"):
-        op.drop_table(name)

@@ -70,11 +70,3 @@ def upgrade() -> None:
     op.drop_table("cut_decision")
     op.drop_table("window_cut")
     op.add_column("job", sa.Column("called_for", sa.Text, comment="inputs that called for scheduled work, JSON by name"))
-
-
-def downgrade() -> None:
-    """Drop the tables; cuts of before come back with a backup."""
-    for table in ("change_decision", "change_evidence", "change"):
-        op.drop_table(table)
-    with op.batch_alter_table("job") as table:
-        table.drop_column("called_for")

@@ -14,9 +14,3 @@ def upgrade() -> None:
     """Forget what older fits kept, a cache."""
     op.execute("DELETE FROM sums WHERE kind <> 'drift'")
     op.create_index("ix_job_work", "job", ["kind", "request"])
-
-
-def downgrade() -> None:
-    """The same for newer fits."""
-    op.drop_index("ix_job_work", "job")
-    op.execute("DELETE FROM sums WHERE kind <> 'drift'")

@@ -16,10 +16,3 @@ def upgrade() -> None:
     op.add_column("spectrum", sa.Column("far", sa.Float(), comment="times the path's power at that time; left out of fits until it is known to last"))
     op.create_index("ix_spectrum_far", "spectrum", ["path"], sqlite_where=sa.text("far IS NOT NULL"), postgresql_where=sa.text("far IS NOT NULL"))
     op.add_column("receipt", sa.Column("warnings", sa.Text(), comment="what was said of it, JSON"))
-
-
-def downgrade() -> None:
-    """What waits does not any more."""
-    op.drop_index("ix_spectrum_far", "spectrum")
-    op.drop_column("spectrum", "far")
-    op.drop_column("receipt", "warnings")

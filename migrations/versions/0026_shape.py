@@ -13,9 +13,3 @@ def upgrade() -> None:
     """What is on record has none."""
     op.add_column("change", sa.Column("tilt", sa.Float(), comment="change of ln C as the Legendre polynomial 1 over the band; null where it is none"))
     op.add_column("change", sa.Column("curvature", sa.Float(), comment="the same of the polynomial 2"))
-
-
-def downgrade() -> None:
-    """Sizes stay."""
-    op.drop_column("change", "curvature")
-    op.drop_column("change", "tilt")

@@ -19,8 +19,3 @@ def upgrade() -> None:
         sa.ForeignKeyConstraint(["key"], ["api_key.id"], name=op.f("fk_session_key_api_key")),
         sa.PrimaryKeyConstraint("sha256", name=op.f("pk_session")),
     )
-
-
-def downgrade() -> None:
-    """Everybody logs in again."""
-    op.drop_table("session")

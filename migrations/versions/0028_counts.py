@@ -25,8 +25,3 @@ def upgrade() -> None:
         "SELECT spectrum.event, path.station, count(*), count(spectrum.far) FROM spectrum JOIN path ON path.id = spectrum.path "
         "GROUP BY spectrum.event, path.station"
     )
-
-
-def downgrade() -> None:
-    """Spectra are counted again when somebody asks."""
-    op.drop_table("event_station")

@@ -100,7 +100,7 @@ def list_keys() -> None:
     """
     from lbacal.instants import format_optional
 
-    for key in _factory().keys.list():
+    for key in _factory().database.look(lambda stores: stores.keys.all()):
         ends = f"expires {format_optional(key.expires) or 'never'}"
         revoked = f", revoked {format_optional(key.revoked)}" if key.revoked is not None else ""
         named = f" {key.name}:" if key.name else ""

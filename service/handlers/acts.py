@@ -18,6 +18,7 @@ from service.handlers.request import FORM_COOKIE, SESSION_COOKIE, InPath, UseCas
 from service.handlers.session import Form, read_form
 from service.page.render import render_page
 from service.storage.jobs import Job
+from service.usecases.orders import stop_job
 from service.usecases.promotions import Change, Plan
 from service.wire import bodies
 from service.wire.answers import to_json
@@ -30,21 +31,22 @@ ENDS = ("since", "until")
 
 @dataclass(frozen=True)
 class Foreseen:
-    """A forecast of an act: sentences, changes of C, and the function that does it and returns the next address."""
+    """A forecast of an act: sentences, the function that does it, and changes of C."""
 
     sentences: Sequence[str]
-    do: Callable[[], str]
+    do: Callable[[], object]
     changes: Sequence[Change] = ()
 
 
 @dataclass(frozen=True)
 class Act:
-    """One kind of act: what it is called, who may, what its form holds, and what it would do to `target`."""
+    """One kind of act: its title, who may, its form, what it would do to `target`, and the page that is shown then."""
 
     title: str
     scope: str
     body: type[bodies.Body]
     foresee: Callable[[Factory, str, Any, str], Foreseen]
+    then: str
 
 
 @router.post("/acts/{name}")
@@ -61,7 +63,8 @@ def act(request: Request, use: UseCases, name: InPath, form: Form) -> Response:
     body = bodies.parse_body(wanted.body, to_json({field: _read(field, text) for field, text in fields.items()}))
     found = wanted.foresee(use, target, body, caller.name)
     if is_sure:
-        return RedirectResponse(found.do(), 303)
+        found.do()
+        return RedirectResponse(wanted.then.format(**fields), 303)
     word, told = request.cookies[FORM_COOKIE], {"here": "", "instrument": use.instrument.name}
     kept = {**fields, "target": target, "back": back}
     page = render_page(
@@ -92,104 +95,71 @@ def _decide(use: Factory, target: str, body: bodies.DecisionBody, by: str) -> Fo
     one, verb = kept.change, "is in force" if body.decision == "in_force" else "is dismissed"
     whose = f"{name_path(one.station)}{' antenna ' + ', '.join(map(str, one.antennas)) if one.antennas else ''}"
     sentence = f"Change {number} of {whose} on {format_instant(one.date)[:10]} {verb}; the next night refits."
-
-    def do() -> str:
-        use.changes.decide(number, body, by)
-        return "/drift#changes"
-
-    return Foreseen([sentence], do, changes)
+    return Foreseen([sentence], lambda: use.changes.decide(number, body, by), changes)
 
 
 def _acknowledge(use: Factory, target: str, body: bodies.AcknowledgementBody, by: str) -> Foreseen:
-    number = _number(target)
-
-    def do() -> str:
-        use.alarms.acknowledge(number, body, by)
-        return "/alarms"
-
-    until = f"until {body.until}" if body.until else "for good"
-    return Foreseen([f"Alarm {number} counts as known {until}; nothing else changes."], do)
+    number, until = _number(target), f"until {body.until}" if body.until else "for good"
+    sentence = f"Alarm {number} counts as known {until}; nothing else changes."
+    return Foreseen([sentence], lambda: use.alarms.acknowledge(number, body, by))
 
 
 def _promote(use: Factory, _target: str, body: bodies.PromotionBody, by: str) -> Foreseen:
-    return _of_plan(use, use.promotions.plan(body, by), f"/calibrations/{body.calibration}")
+    return _of_plan(use, use.promotions.plan(body, by))
 
 
 def _roll_back(use: Factory, target: str, body: bodies.ReasonBody, by: str) -> Foreseen:
-    return _of_plan(use, use.promotions.plan_rollback(_number(target), body, by), "/")
+    return _of_plan(use, use.promotions.plan_rollback(_number(target), body, by))
 
 
-def _of_plan(use: Factory, plan: Plan, address: str) -> Foreseen:
-    def do() -> str:
-        use.promotions.promote(plan, lambda *_: None)
-        return address
-
+def _of_plan(use: Factory, plan: Plan) -> Foreseen:
     promoted = f"{len(plan.wanted)} promotions are written to the ledger; they are undone by rolling back."
-    return Foreseen([promoted, *(f"{name}: left out, {why}" for name, why in plan.left_out.items())], do, plan.changes)
+    left_out = [f"{name}: left out, {why}" for name, why in plan.left_out.items()]
+    return Foreseen([promoted, *left_out], lambda: use.promotions.promote(plan, lambda *_: None), plan.changes)
 
 
 def _tag(use: Factory, target: str, body: bodies.TagBody, by: str) -> Foreseen:
     if TAG_NAME.fullmatch(target) is None:
         raise BadInputError("target", "letters, digits, dot, dash and underscore", repr(target[:80]))
-
-    def do() -> str:
-        use.tags.put(target, body, by)
-        return "/"
-
-    return Foreseen([f"The tag {target} names what the ledger says {body.as_of or 'now'}, for good."], do)
+    sentence = f"The tag {target} names what the ledger says {body.as_of or 'now'}, for good."
+    return Foreseen([sentence], lambda: use.tags.put(target, body, by))
 
 
 def _adopt(use: Factory, target: str, body: bodies.AdoptionBody, by: str) -> Foreseen:
     plan = use.models.plan_adoption(target, body, by)
-
-    def do() -> str:
-        use.models.adopt(plan, promote=body.promote)
-        return "/models"
-
-    return Foreseen(
-        [plan.cause.sentence, "Fits of the station have this cause until it is withdrawn."], do, plan.changes
-    )
+    sentences = [plan.cause.sentence, "Fits of the station have this cause until it is withdrawn."]
+    return Foreseen(sentences, lambda: use.models.adopt(plan, promote=body.promote), plan.changes)
 
 
 def _withdraw(use: Factory, target: str, body: bodies.ReasonBody, by: str) -> Foreseen:
-    def do() -> str:
-        use.models.withdraw(target, body, by)
-        return "/models"
-
     back = "What was in effect before its adoption answers again at once, and refits without the cause are enqueued."
-    return Foreseen([back], do)
+    return Foreseen([back], lambda: use.models.withdraw(target, body, by))
 
 
 def _refit(use: Factory, _target: str, body: bodies.RefitBody, by: str) -> Foreseen:
-    def do() -> str:
-        use.refits.request(body, by)
-        return "/jobs"
-
     whose = name_path(body.station, body.antenna, body.dipole)
     then = "what passes the gate is put in effect" if body.promote else "nothing is put in effect by itself"
-    return Foreseen([f"Scope {body.scope} of {whose} is fitted over {body.since} to {body.until}; {then}."], do)
+    sentence = f"Scope {body.scope} of {whose} is fitted over {body.since} to {body.until}; {then}."
+    return Foreseen([sentence], lambda: use.refits.request(body, by))
 
 
 def _investigate(use: Factory, _target: str, body: bodies.InvestigationBody, by: str) -> Foreseen:
-    def do() -> str:
-        use.investigations.request(body, by)
-        return "/jobs"
+    sentence = f"{body.station or 'Every station'} is searched over {body.since} to {body.until}."
+    return Foreseen([sentence], lambda: use.investigations.request(body, by))
 
-    return Foreseen([f"{body.station or 'Every station'} is searched over {body.since} to {body.until}."], do)
+
+def _get_job(use: Factory, target: str) -> Job:
+    return use.database.look(lambda stores: stores.jobs.get(_number(target)))
 
 
 def _cancel(use: Factory, target: str, body: bodies.ReasonBody, by: str) -> Foreseen:
-    job = use.jobs.get(_number(target))
-
-    def do() -> str:
-        use.jobs.cancel(job.number, by, body.reason)
-        return "/jobs"
-
-    return Foreseen([f"Job {job.number} ({job.kind}, {job.state}) stops; what it has stored stays."], do)
+    job = _get_job(use, target)
+    sentence = f"Job {job.number} ({job.kind}, {job.state}) stops; what it has stored stays."
+    return Foreseen([sentence], lambda: stop_job(use.database, use.clock(), job.number, by, body.reason))
 
 
 def _retry(use: Factory, target: str, body: bodies.ReasonBody, by: str) -> Foreseen:
-    job = use.jobs.get(_number(target))
+    job = _get_job(use, target)
     if job.kind == "refit":
         return _refit(use, target, _again(job, bodies.RefitBody, body.reason), by)
     if job.kind == "investigation":
@@ -205,15 +175,15 @@ def _again(job: Job, kind: type[bodies.AnyBody], reason: str) -> bodies.AnyBody:
 
 
 ACTS: Mapping[str, Act] = {
-    "decide": Act("Decide about a change", PROMOTE, bodies.DecisionBody, _decide),
-    "acknowledge": Act("Acknowledge an alarm", RUN, bodies.AcknowledgementBody, _acknowledge),
-    "promote": Act("Put a version in effect", PROMOTE, bodies.PromotionBody, _promote),
-    "roll-back": Act("Roll a promotion back", PROMOTE, bodies.ReasonBody, _roll_back),
-    "tag": Act("Freeze the ledger under a tag", PROMOTE, bodies.TagBody, _tag),
-    "adopt": Act("Adopt a finding into the model", PROMOTE, bodies.AdoptionBody, _adopt),
-    "withdraw": Act("Withdraw an adopted cause", PROMOTE, bodies.ReasonBody, _withdraw),
-    "refit": Act("Ask for new fits", RUN, bodies.RefitBody, _refit),
-    "investigate": Act("Ask what the simulation gets wrong", RUN, bodies.InvestigationBody, _investigate),
-    "cancel": Act("Stop a job", RUN, bodies.ReasonBody, _cancel),
-    "retry": Act("Try a job again", RUN, bodies.ReasonBody, _retry),
+    "decide": Act("Decide about a change", PROMOTE, bodies.DecisionBody, _decide, "/drift#changes"),
+    "acknowledge": Act("Acknowledge an alarm", RUN, bodies.AcknowledgementBody, _acknowledge, "/alarms"),
+    "promote": Act("Put a version in effect", PROMOTE, bodies.PromotionBody, _promote, "/calibrations/{calibration}"),
+    "roll-back": Act("Roll a promotion back", PROMOTE, bodies.ReasonBody, _roll_back, "/"),
+    "tag": Act("Freeze the ledger under a tag", PROMOTE, bodies.TagBody, _tag, "/"),
+    "adopt": Act("Adopt a finding into the model", PROMOTE, bodies.AdoptionBody, _adopt, "/models"),
+    "withdraw": Act("Withdraw an adopted cause", PROMOTE, bodies.ReasonBody, _withdraw, "/models"),
+    "refit": Act("Ask for new fits", RUN, bodies.RefitBody, _refit, "/jobs"),
+    "investigate": Act("Ask what the simulation gets wrong", RUN, bodies.InvestigationBody, _investigate, "/jobs"),
+    "cancel": Act("Stop a job", RUN, bodies.ReasonBody, _cancel, "/jobs"),
+    "retry": Act("Try a job again", RUN, bodies.ReasonBody, _retry, "/jobs"),
 }

@@ -12,8 +12,7 @@ from fastapi import APIRouter, Query, Request, Response
 
 from lbacal.instants import format_instant, parse_at, parse_instant
 from lbacal.tables import write_format
-from lbacal_core.calibration.spreads import ToldCurve
-from lbacal_core.curves.curves import STATUSES
+from lbacal_core.curves.curves import OK, STATUSES, UNCERTAIN
 from lbacal_core.curves.validity import Scope
 from service.factory import Factory
 from service.handlers.request import IMMUTABLE, REVALIDATE, AntennaQuery, InPath, Limit, UseCases, answer
@@ -75,7 +74,7 @@ def get_budget(request: Request, use: UseCases, digest: InPath) -> Response:
     The systematic terms that curves share: name, source and, by polarisation, vectors of d ln C along frequency,
     one standard deviation each, independent of each other. A term of the same name is the same for all.
     """
-    return answer(request, use.calibrations.budget(digest), cache=IMMUTABLE)
+    return answer(request, use.database.look(lambda stores: stores.budgets.get(digest)), cache=IMMUTABLE)
 
 
 @reads(router, "/v1/calibrations/edges", wire.EdgesAnswer, takes_turn=True)
@@ -114,7 +113,7 @@ def list_versions(
     """
     is_everything = (scope, station, antenna, dipole) == (None, None, None, None)
     wanted = None if is_everything else Scope(station, antenna, dipole)
-    versions = use.calibrations.search(wanted, status, cursor, limit)
+    versions = use.database.look(lambda stores: stores.versions.search(wanted, status, cursor, limit))
     describe_version = partial(fill_answer, wire.VersionAnswer)
     return answer(request, page_of("calibrations", versions, limit, describe_version, attrgetter("id")))
 
@@ -132,7 +131,7 @@ def get_version(
     columns of `effective`, the window of the fit as interval.
     """
     kind = choose_format(format, request.headers.get("accept"))
-    version = use.calibrations.get(version_id)
+    version = use.database.look(lambda stores: stores.versions.get(version_id))
     chains = {dipole: chain.as_dict() for dipole, chain in version.chains.items()}
     more = {"reference": chains or None, "anomalies": version.anomalies.as_dict()}
     content = {**fill_answer(wire.VersionAnswer, version), "curves": version.payload, **more}
@@ -147,30 +146,49 @@ def get_diff(request: Request, use: UseCases, first: InPath, second: InPath) -> 
     Per dipole the change of C from the first to the second that one and the same path is served, as a fraction and in
     standard deviations.
     """
-    a, b = use.calibrations.pair(first, second)
+    a, b = use.database.look(lambda stores: (stores.versions.get(first), stores.versions.get(second)))
     return answer(request, describe_diff(a, b), cache=_keeping(first, second))
 
 
 def write_json(use: Factory, found: InEffect, curves: Sequence[CurveInEffect], known: Knowledge) -> bytes:
     """Write the curves in effect as JSON, most of which were written before."""
     written = use.calibrations.write(curves, _write_curve)
-    named = {one.budget for one in written if one.budget is not None}
-    budgets = {name: found.budgets[name] for name in named if name in found.budgets}
-    return answers.write_in_effect(found.at, known.text, [one.text for one in written], found.missing, budgets)
+    named = sorted({one.budget for one in written if one.budget is not None} & found.budgets.keys())
+    return b'%b,"curves":[%b],"budgets":{%b},"missing":%b}' % (
+        to_json({"at": format_instant(found.at), "as_of": known.text})[:-1],
+        b",".join(one.text for one in written),
+        ",".join(f"{json.dumps(name)}:{found.budgets[name]}" for name in named).encode(),
+        to_json([answers.describe_scope(path) for path in found.missing]),
+    )
 
 
 def _write_curve(curve: CurveInEffect) -> WrittenCurve:
-    told = curve.told
-    covariance = told.curve.covariance
-    text = to_json(_describe_curve(curve, told))
-    return WrittenCurve(text, None if covariance is None else covariance.budget)
+    covariance = curve.told.curve.covariance
+    return WrittenCurve(to_json(_describe_curve(curve)), None if covariance is None else covariance.budget)
 
 
-def _describe_curve(curve: CurveInEffect, told: ToldCurve) -> dict[str, Any]:
-    epoch = answers.describe_stretch(curve.epoch.start, curve.epoch.end, because=curve.epoch.because)
-    return answers.describe_curve_in_effect(
-        told, curve.chain, curve.promotion, curve.trace, curve.changed, epoch, curve.why, is_held=curve.is_held
-    )
+def _describe_curve(curve: CurveInEffect) -> dict[str, Any]:
+    """A curve as in fit.json, as the path is served it, with the version and the scope that answered."""
+    told, chain, promotion = curve.told, curve.chain, curve.promotion
+    held = "held: nothing is in effect, the nearest in time answers" if curve.is_held else None
+    reasons = [text for text in (held, curve.changed, told.reason) if text]
+    return {
+        **told.curve.as_dict(),
+        "calibration": promotion.calibration,
+        "answered_by": promotion.scope.level,
+        "factor": told.factor.tolist(),
+        "flag": [UNCERTAIN if reasons and flag == OK else flag for flag in told.curve.flags.tolist()],
+        "flag_reason": "; ".join(reasons) or None,
+        "reference": None if chain is None else fill_answer(
+            wire.ReferenceAnswer, chain, paths=len(chain.members), cable=told.cable, cables=chain.cables.digest,
+            spreads=None if chain.spreads is None else chain.spreads.digest,
+        ),
+        "valid": answers.describe_stretch(promotion.valid_from, promotion.valid_to),
+        "held": curve.is_held,
+        "trace": [fill_answer(wire.TraceAnswer, one, promotion=one.number) for one in curve.trace],
+        "epoch": fill_answer(wire.EpochAnswer, curve.epoch),
+        "why": curve.why,
+    }  # fmt: skip
 
 
 def _keeping(*ids: str) -> str:

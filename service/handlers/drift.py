@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Request, Response
 
-from lbacal.instants import DAY_US, format_instant, format_optional, parse_instant
+from lbacal.instants import DAY_US, SECOND_US, format_instant, parse_instant
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import BadInputError
 from service.handlers.ledger import PROMOTE, describe_changes
@@ -19,7 +19,7 @@ from service.handlers.routes import Order, acts, ordered, page_of, reads
 from service.storage.alarms import ACKNOWLEDGED, OPEN, STATES, Alarm, AlarmsAsked
 from service.storage.changes import KeptChange, concerns
 from service.usecases.calibrations import select_paths
-from service.usecases.drift import SECOND_US, DriftSeries, MonthPoint, Step
+from service.usecases.drift import DriftSeries, MonthPoint, Step
 from service.usecases.keys import Caller
 from service.wire import answer_models as wire
 from service.wire.answers import describe_scope, fill_answer
@@ -70,27 +70,17 @@ def describe_month(point: MonthPoint) -> dict[str, Any]:
 def describe_step(step: Step) -> dict[str, Any]:
     """A change and the version in effect then, as JSON values."""
     told = step.change
-    copied = ("date_sigma_days", "size", "sigma", "shape", "significance", "members")
-    return {
-        **describe_scope(step.path),
-        "date": format_instant(step.date)[:10],
-        "earliest": format_instant(round(told["earliest_unix"] * SECOND_US)),
-        "latest": format_instant(round(told["latest_unix"] * SECOND_US)),
-        **{name: told[name] for name in copied},
-        "known": told["is_known"],
-        "calibration": step.calibration,
-    }
+    first, last = (format_instant(round(told[f"{end}_unix"] * SECOND_US)) for end in ("earliest", "latest"))
+    date = format_instant(step.date)[:10]
+    return fill_answer(wire.DriftStep, step, told, **describe_scope(step.path), date=date, earliest=first, latest=last)
 
 
 def describe_slope(slope: Mapping[str, Any]) -> dict[str, Any]:
     """A slope as JSON values: that of a path beside its station, or that of C itself."""
-    optional = ("limit_95", "years", "scatter", "significance", "shape", "frequency")
     is_own = "significance" in slope
-    season = slope["season"] if is_own else math.hypot(*slope["season"][:2])
     return {
-        **{name: slope[name] for name in ("slope", "sigma")},
-        **{name: slope.get(name) for name in optional},
-        "season": season,
+        **{name: slope.get(name) for name in wire.DriftSlope.model_fields},
+        "season": slope["season"] if is_own else math.hypot(*slope["season"][:2]),
         "beside": "the median of its station and polarisation" if is_own else None,
     }
 
@@ -218,26 +208,12 @@ def describe_change(kept: KeptChange) -> dict[str, Any]:
     change, said, first = kept.change, kept.said, kept.evidence[0]
     paths = [{"station": change.station, "antenna": antenna, "dipole": dipole} for antenna, dipole in change.paths]
     of_c = None if change.size is None else {"value": change.size, "sigma": change.size_sigma or 0.0}
-    return {
-        "id": kept.number,
-        "paths": paths or None,
-        "station": change.station,
-        "array": change.station is None,
-        "at": {"value": format_instant(change.date), "sigma_days": change.sigma_days},
-        "kind": change.kind,
-        "size": of_c and {**of_c, "unit": "fraction of C"},
-        "evidence": [
-            {
-                "from": one.source, "ref": one.ref, "significance_sigma": one.significance,
-                "made_at": format_instant(one.made), "ended_at": format_optional(one.ended),
-            }
-            for one in kept.evidence
-        ],
-        "decision": kept.decision,
-        "by": first.source if said is None else said.by,
-        "reason": f"found by {first.source}" if said is None else said.reason,
-        "refitted": kept.is_refitted,
-        "cuts_windows": bool(kept.cuts),
-        "made_at": format_instant(kept.made),
-        "ended_at": format_optional(kept.ended),
-    }  # fmt: skip
+    return fill_answer(
+        wire.PathChangeAnswer, kept, change, id=kept.number, paths=paths or None, array=change.station is None,
+        at={"value": format_instant(change.date), "sigma_days": change.sigma_days},
+        size=of_c and {**of_c, "unit": "fraction of C"},
+        evidence=[fill_answer(wire.EvidenceAnswer, one, significance_sigma=one.significance) for one in kept.evidence],
+        by=first.source if said is None else said.by,
+        reason=f"found by {first.source}" if said is None else said.reason,
+        cuts_windows=bool(kept.cuts),
+    )  # fmt: skip

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from fastapi import APIRouter, Depends, Request, Response
 from fastapi.responses import PlainTextResponse
@@ -15,11 +15,12 @@ from service.handlers.problems import document
 from service.handlers.request import UseCases, answer, require_read
 from service.handlers.routes import reads
 from service.storage.jobs import Failure
-from service.usecases.alarms import StationNews
-from service.usecases.models import list_stopped
 from service.usecases.status import State
 from service.wire import answer_models as wire
 from service.wire.answers import fill_answer
+
+if TYPE_CHECKING:
+    from service.usecases.investigations import StationNews  # with what searches
 
 router = APIRouter(tags=["health"])
 
@@ -50,7 +51,7 @@ def get_status(request: Request, use: UseCases) -> Response:
     the one before did not say, and the failures of the last 30 days that nothing has made up for, with the time
     after which due work is tried again.
     """
-    stopped = list_stopped(use.models.history())
+    stopped = [one.sentence for one in use.models.stopped()]
     waiting = [cut.warning for one in use.changes.waiting() for cut in one.cuts]
     return answer(request, describe_status(use.status.look(), use.investigations.news(), stopped, waiting))
 

@@ -21,6 +21,7 @@ from service.handlers.request import (
 from service.handlers.routes import Order, acts, ordered, page_of, reads
 from service.storage.jobs import Job
 from service.usecases.keys import Caller
+from service.usecases.orders import stop_job
 from service.wire.answer_models import JobAnswer, JobsAnswer, RefitAnswer
 from service.wire.answers import fill_answer
 from service.wire.bodies import ReasonBody, RefitBody, parse_body
@@ -55,14 +56,14 @@ def list_jobs(
 
     Newest first; `next` is the cursor of the next page.
     """
-    jobs = use.jobs.newest(before=cursor, limit=limit)
+    jobs = use.database.look(lambda stores: stores.jobs.newest(before=cursor, limit=limit))
     return answer(request, page_of("jobs", jobs, limit, describe_job, attrgetter("number")))
 
 
 @reads(router, "/v1/jobs/{number}", JobAnswer, 404)
 def get_job(request: Request, use: UseCases, number: JobNumber) -> Response:
     """Get one job."""
-    return answer(request, describe_job(use.jobs.get(number)))
+    return answer(request, describe_job(use.database.look(lambda stores: stores.jobs.get(number))))
 
 
 @acts(router, "/v1/jobs/{number}/cancel", ReasonBody, JobAnswer, 404, 409, status=200, is_body_required=False)
@@ -76,7 +77,7 @@ def cancel_job(
     cannot be stopped (409). Due work that was stopped is tried again after a day.
     """
     reason = parse_body(ReasonBody, body).reason if body else None
-    return answer(request, describe_job(use.jobs.cancel(number, caller.name, reason)))
+    return answer(request, describe_job(stop_job(use.database, use.clock(), number, caller.name, reason)))
 
 
 def describe_job(job: Job) -> dict[str, Any]:

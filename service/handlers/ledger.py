@@ -10,14 +10,20 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Query, Request, Response
 
-from lbacal.instants import format_instant, format_optional
 from lbacal_core.curves.validity import Promotion
 from service.factory import Factory
 from service.handlers.request import JobNumber, JsonBody, Limit, UseCases, answer, caller_with
 from service.handlers.routes import Order, acts, ordered, page_of, reads
 from service.usecases.keys import Caller
 from service.usecases.promotions import Change, Plan
-from service.wire.answer_models import ChangesAnswer, PromotionAnswer, PromotionsAnswer, TagAnswer, TagsAnswer
+from service.wire.answer_models import (
+    ChangeAnswer,
+    ChangesAnswer,
+    PromotionAnswer,
+    PromotionsAnswer,
+    TagAnswer,
+    TagsAnswer,
+)
 from service.wire.answers import describe_promotion, describe_scope, fill_answer, to_json
 from service.wire.bodies import PromotionBody, ReasonBody, TagBody, parse_body
 
@@ -41,7 +47,7 @@ def list_tags(
 
     In order of their names; `next` is the cursor of the next page.
     """
-    tags = use.tags.after(cursor, limit)
+    tags = use.database.look(lambda stores: stores.tags.after(cursor, limit))
     return answer(request, page_of("tags", tags, limit, partial(fill_answer, TagAnswer), attrgetter("name")))
 
 
@@ -114,16 +120,5 @@ def describe_act(plan: Plan, made: Sequence[Promotion], changes: Sequence[Change
 
 def describe_changes(changes: Sequence[Change]) -> list[dict[str, Any]]:
     """Describe the changes by promotions, path by path."""
-    return [
-        {
-            **describe_scope(change.path),
-            "from": format_instant(change.start),
-            "to": format_optional(change.end),
-            "before": change.before,
-            "after": change.after,
-            "max_fraction": change.curve_change and change.curve_change.max_fraction,
-            "max_sigma": change.curve_change and change.curve_change.max_sigma,
-            "mean_c": change.curve_change and list(change.curve_change.means),
-        }
-        for change in changes
-    ]
+    unknown = dict.fromkeys(("max_fraction", "max_sigma", "mean_c"))
+    return [fill_answer(ChangeAnswer, one, one.curve_change or unknown, **describe_scope(one.path)) for one in changes]

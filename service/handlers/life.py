@@ -12,9 +12,17 @@ from service.handlers.drift import describe_alarm, describe_change
 from service.handlers.models import describe_investigation, describe_model
 from service.handlers.request import InPath, UseCases, Whole, answer
 from service.handlers.routes import reads
+from service.usecases.bad_antennas import list_bad
 from service.usecases.life import Life
-from service.wire.answer_models import BadAntennasAnswer, LifeAnswer, VersionAnswer
-from service.wire.answers import describe_stretch, fill_answer
+from service.wire.answer_models import (
+    BadAntennasAnswer,
+    BadPathAnswer,
+    EpochAnswer,
+    InEffectStretch,
+    LifeAnswer,
+    VersionAnswer,
+)
+from service.wire.answers import describe_scope, fill_answer
 
 router = APIRouter(tags=["life"])
 
@@ -50,18 +58,17 @@ def get_bad_antennas(request: Request, use: UseCases, at: str | None = None, sta
     """
     instant = use.clock() if at is None else parse_instant("at", at)
     bad = [
-        {**dict(zip(("station", "antenna", "dipole"), one.path.parts, strict=True)), "kind": one.kind,
-         "since": format_instant(one.since), "reason": one.sentence, "source": one.source}
-        for one in use.bad_antennas.at(instant, station)
-    ]  # fmt: skip
+        fill_answer(BadPathAnswer, one, **describe_scope(one.path), reason=one.sentence)
+        for one in list_bad(use.database, use.instrument, instant, station)
+    ]
     return answer(request, {"at": format_instant(instant), "bad": bad})
 
 
 def describe_life(life: Life, now: Instant) -> dict[str, Any]:
     """Describe a life as JSON values."""
     return {
-        "epochs": [describe_stretch(one.start, one.end, because=one.because) for one in life.epochs],
-        "in_effect": [describe_stretch(one.start, one.end, calibration=one.calibration) for one in life.in_effect],
+        "epochs": [fill_answer(EpochAnswer, one) for one in life.epochs],
+        "in_effect": [fill_answer(InEffectStretch, one) for one in life.in_effect],
         "versions": [fill_answer(VersionAnswer, one) for one in life.versions],
         "changes": [describe_change(one) for one in life.changes],
         "causes": [describe_model(one) for one in life.causes],

@@ -138,14 +138,14 @@ def list_investigations(
 
     Newest first, without their reports; `next` is the cursor of the next page.
     """
-    found = use.investigations.newest(before=cursor, station=station, limit=limit)
+    found = use.database.look(lambda stores: stores.investigations.newest(before=cursor, station=station, limit=limit))
     return answer(request, page_of("investigations", found, limit, describe_investigation, attrgetter("id")))
 
 
 @reads(investigations, "/v1/investigations/{name}", wire.InvestigationAnswer, 404)
 def get_investigation(request: Request, use: UseCases, name: InPath) -> Response:
     """Get one investigation, as it was made."""
-    found = use.investigations.get(name)
+    found = use.database.look(lambda stores: stores.investigations.get(name))
     content = {**describe_investigation(found), "inputs": found.inputs, "report": found.report}
     return answer(request, content, cache=IMMUTABLE)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby
@@ -12,7 +11,7 @@ import numpy as np
 from fastapi import APIRouter, Depends, Query, Request, Response, status
 from fastapi.responses import HTMLResponse, RedirectResponse
 
-from lbacal.instants import format_instant, parse_instant
+from lbacal.instants import SECOND_US, format_instant, parse_instant
 from lbacal.pages.chart import Chart
 from lbacal.pages.curves import (
     C_LABEL,
@@ -47,16 +46,15 @@ from service.handlers.request import (
     require_read,
 )
 from service.page import charts
-from service.page.render import Figure, find_asset, format_day, name_scope, render_page, render_part
+from service.page.render import Figure, find_asset, name_scope, render_page, render_part
 from service.page.span import Span
 from service.storage.alarms import ACKNOWLEDGED, ENDED, OPEN, AlarmsAsked
 from service.storage.changes import PROPOSED, KeptChange
 from service.storage.models import Investigation
-from service.storage.versions import MeanC, Version
+from service.storage.versions import Version
 from service.usecases.calibrations import CurveInEffect, select_paths
-from service.usecases.drift import DriftSeries, Story
+from service.usecases.drift import DriftSeries
 from service.usecases.life import Life
-from service.usecases.models import list_stopped
 from service.usecases.status import State, look_over, tell_problems
 from service.wire.answers import FORMATS
 
@@ -137,7 +135,7 @@ def get_asset(request: Request, digest: str, name: str) -> Response:
 @router.get("/")
 def show_overview(request: Request, use: UseCases, span: InSpan, csv: CsvQuery = "") -> Response:
     overview, state = look_over(use.database, use.instrument, use.clock), use.status.look()
-    news, stopped = use.investigations.news(), list_stopped(use.models.history())
+    news, stopped = use.investigations.news(), [one.sentence for one in use.models.stopped()]
     lasting = [one for one in use.changes.list_all() if one.ended is None]
     changes = sorted((one for one in lasting if span.has(one.change.date)), key=_significance, reverse=True)
     at = span.until - 1 if span.until is not None else overview.last
@@ -183,7 +181,8 @@ def _draw_terms(use: Factory, curves: Sequence[CalibrationCurve]) -> Chart | Non
         digest = None if curve.covariance is None else curve.covariance.budget
         if digest is not None and curve.c is not None:
             c, stat, _ = values_of(curve)
-            return draw_terms(parse_budget(use.calibrations.budget(digest)), stat / c)
+            with use.database.read() as stores:
+                return draw_terms(parse_budget(stores.budgets.get(digest)), stat / c)
     return None
 
 
@@ -205,7 +204,7 @@ def _count_waiting(
 
 @router.get("/jobs")
 def show_jobs(request: Request, use: UseCases, span: InSpan) -> Response:
-    jobs = [job for job in use.jobs.newest(limit=200) if span.has(job.created)]
+    jobs = [job for job in use.database.look(lambda stores: stores.jobs.newest(limit=200)) if span.has(job.created)]
     is_open = any(job.state in ("queued", "running") for job in jobs)
     state, nightly = use.status.look(), use.settings.nightly_utc
     return _page(
@@ -217,7 +216,7 @@ def show_jobs(request: Request, use: UseCases, span: InSpan) -> Response:
 
 @router.get("/jobs/{number}")
 def show_job(request: Request, use: UseCases, number: JobNumber, span: InSpan) -> Response:
-    job, records = use.jobs.get(number), use.jobs.records(number)
+    job, records = use.database.look(lambda stores: (stores.jobs.get(number), stores.jobs.records(number)))
     is_open = job.state in ("queued", "running")
     return _page(request, use, span, "job.html", "/jobs", job=job, records=records, is_open=is_open, now=use.clock())
 
@@ -235,14 +234,12 @@ def _tell_drift(use: Factory, span: Span) -> tuple[Chart, str]:
     """The part of the page that is the same for everybody until the next daily run."""
     whole, stations = use.drift.overall()
     series = [*stations, *([whole] if len(stations) > 1 else [])]
-    stories = use.drift.stories(series)
-    rows = [_version_rows(one, stories) for one in series]
-    points = [[row["point"] for row in of_one] for of_one in rows]
+    points = [use.drift.points(one) for one in series]
     chart = charts.draw_drift(series, points, span)
     return chart, render_part(
         "drift_main.html", steps=[one for one in whole.steps if span.has(one.date)][:STEPS_SHOWN], q=span.query,
         figure=Figure(chart, span.with_more(csv="drift")),
-        rows=[row for of_one in rows for row in of_one if span.has(row["since"])],
+        points=[one for of_scope in points for one in of_scope if span.has(one.mean.since)],
         trends=[(name_scope(one.scope), one.slope) for one in series if one.slope is not None],
         threshold=whole.threshold_sigma, frequency_mhz=use.instrument.frequency_mhz,
     )  # fmt: skip
@@ -270,6 +267,7 @@ def show_models(request: Request, use: UseCases, span: InSpan) -> Response:
 def show_station(request: Request, use: UseCases, station: InPath, span: InSpan, csv: CsvQuery = "") -> Response:
     select_paths(use.instrument, station, None, None)
     series, life = use.drift.series(Scope(station)), use.lives.of(station)
+    years = [str(year.matrix) for year in use.database.look(lambda stores: stores.drift.years([station]))]
     at = _last_shown(use, span)
     in_effect = dict([] if at is None else _find_stations(use, at)).get(station, [])
     figures = {
@@ -277,9 +275,9 @@ def show_station(request: Request, use: UseCases, station: InPath, span: InSpan,
         if in_effect
         else None,
         "terms": _draw_terms(use, in_effect),
-        "time": charts.draw_path(life, series, span, None, ""),
+        "time": charts.draw_path(life, series, use.drift.points(series), span, None, ""),
         **_draw_life(use, life, series, span),
-        "matrix": charts.draw_matrix(station, use.drift.matrix(station), span),
+        "matrix": charts.draw_matrix(station, years, span),
     }
     return _page(
         request, use, span, "station.html", "/", figures, csv, station=station, life=life, at=at,
@@ -291,7 +289,8 @@ def show_station(request: Request, use: UseCases, station: InPath, span: InSpan,
 def _draw_life(use: Factory, life: Life, series: DriftSeries, span: Span) -> dict[str, Chart]:
     """What happened, and what was recorded beside it, on one axis of time."""
     days = charts.find_days(life, series, span)
-    environment = use.lives.environment(*(round(charts.US * at) for at in days))
+    since, until = (round(SECOND_US * at) for at in days)
+    environment = use.database.look(lambda stores: stores.spectra.covariates_by_month(since, until))
     return {"life": charts.draw_life(life, days, span, use.clock()), **charts.draw_environment(environment, days)}
 
 
@@ -328,7 +327,7 @@ def show_path(
         found, gap = None, str(error)
     address = f"/paths/{station}/{antenna}/{dipole}"
     figures = {
-        "time": charts.draw_path(life, series, span, instant, address),
+        "time": charts.draw_path(life, series, use.drift.points(series), span, instant, address),
         **_draw_life(use, life, series, span),
         **(_draw_date(use, path, found) if found is not None else {}),
     }
@@ -377,8 +376,12 @@ def _find_predecessor(use: Factory, found: CurveInEffect) -> CalibrationCurve | 
 def show_calibration(
     request: Request, use: UseCases, version_id: InPath, span: InSpan, against: str = "", csv: CsvQuery = ""
 ) -> Response:
-    version, promotions, confirmed = use.calibrations.get_with_promotions(version_id)
-    other = use.calibrations.get(against) if against else None
+    with use.database.read() as stores:
+        version = stores.versions.get(version_id)
+        promotions = stores.ledger.of_calibration(version.id, PROMOTIONS_SHOWN)
+        confirmed = stores.versions.confirmation(version.id)
+        other = stores.versions.get(against) if against else None
+        others = [one for one in stores.versions.search(version.scope, None, "", 100) if one.id != version.id]
     fitted = [curve for curve in version.curves if curve.c is not None]
     figures: dict[str, Chart | None] = {
         "curve": draw_curves(f"C of {name_scope(version.scope)}", fitted, _published(use)) if fitted else None,
@@ -389,21 +392,19 @@ def show_calibration(
         if first is not None:
             names = (f"version {against[:8]}", f"this version, {curve.dipole}")
             figures[f"difference-{curve.dipole}"] = draw_difference(first, curve, names)
-    scope = version.scope
-    others = [one for one in use.calibrations.search(scope, None, "", 100) if one.id != version.id]
     return _page(
         request, use, span, "calibration.html", "/", figures, csv, version=version, promotions=promotions,
         chains=_rows_of_chains(version), confirmed=confirmed, other=other, others=others[-MOST_OTHERS:],
-        downloads=[name for name in FORMATS if name != "nuradio" or scope.antenna is not None],
+        downloads=[name for name in FORMATS if name != "nuradio" or version.scope.antenna is not None],
     )  # fmt: skip
 
 
-MOST_OTHERS = 30
+MOST_OTHERS, PROMOTIONS_SHOWN = 30, 100
 
 
 @router.get("/investigations/{name}")
 def show_investigation(request: Request, use: UseCases, name: InPath, span: InSpan) -> Response:
-    found = use.investigations.get(name)
+    found = use.database.look(lambda stores: stores.investigations.get(name))
     changes = {
         by.ref.rpartition("#")[2]: one
         for one in use.changes.list_all(found.station)
@@ -440,33 +441,3 @@ def _rows_of_chains(version: Version) -> list[dict[str, Any]]:
             for cable, one in spreads.items()
         ] or [{**of_chain, "cable": "", "paths": 0, "offset": None, "spread": None}]
     return rows
-
-
-def _version_rows(series: DriftSeries, stories: Mapping[tuple[str, str], Story]) -> list[dict[str, Any]]:
-    """Versions of a scope in order of dipole and time, each against the first of its dipole."""
-    rows = []
-    ordered = sorted(series.versions, key=lambda version: (version.dipole, version.since, version.calibration))
-    for dipole, of_dipole in groupby(ordered, key=lambda version: version.dipole):
-        versions = list(of_dipole)
-        for version in versions:
-            story = stories[version.calibration, dipole]
-            address, ratio = f"/calibrations/{version.calibration}", 1.0 + story.change
-            window = version.since, version.until
-            point = charts.VersionPoint(dipole, *window, ratio, ratio * version.c_sigma / version.c, address)
-            rows.append(
-                {
-                    "name": name_scope(series.scope), "dipole": dipole, "calibration": version.calibration,
-                    "window": f"{format_day(version.since)} to {format_day(version.until)}", "since": version.since,
-                    "c": version.c, "c_sigma": version.c_sigma, "change": story.change, "point": point,
-                    "change_sigma": _sigma_of_change(version, versions[0], story.change), "why": story.words,
-                    "url": address,
-                }
-            )  # fmt: skip
-    return rows
-
-
-def _sigma_of_change(version: MeanC, first: MeanC, change: float) -> float:
-    """Error of the change from the first; 0 of the first itself."""
-    if version.calibration == first.calibration:
-        return 0.0
-    return (1.0 + change) * math.hypot(version.c_sigma / version.c, first.c_sigma / first.c)

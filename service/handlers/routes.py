@@ -14,6 +14,7 @@ from service.factory import Factory
 from service.handlers.problems import document
 from service.handlers.request import TAKES_TURN, JsonBody, UseCases, caller_with, require_read
 from service.usecases.keys import Caller
+from service.usecases.orders import do_once, recall_answer
 from service.wire.answer_models import Answer
 from service.wire.answers import FORMATS, to_json
 from service.wire.bodies import AnyBody, parse_body
@@ -115,14 +116,15 @@ class Order(Generic[AnyBody]):
 
     def recall(self, what: str) -> bytes | None:
         """Find the answer of the same request under its name; None where it is new."""
-        return self._use.deeds.recall(self.caller, self._name, what.encode() + self._body)
+        return recall_answer(self._use.database, self.caller, self._name, what.encode() + self._body)
 
     def once(self, what: str, act: Callable[[], Any]) -> bytes:
         """Do it, unless it was done under its name; the answer as JSON.
 
         `what` tells requests of the same body apart. `act` gives JSON values, or their bytes.
         """
-        return self._use.deeds.once(self.caller, self._name, what.encode() + self._body, lambda: _as_bytes(act()))
+        use, request = self._use, what.encode() + self._body
+        return do_once(use.database, use.clock(), self.caller, self._name, request, lambda: _as_bytes(act()))
 
 
 def _as_bytes(content: Any) -> bytes:

@@ -21,7 +21,7 @@ from service.handlers.request import (
     media_type_of,
 )
 from service.handlers.routes import acts, page_of, reads
-from service.storage.spectra import EventsAsked, StoredEvent
+from service.storage.spectra import StoredEvent
 from service.usecases.keys import Caller
 from service.wire.answer_models import EventAnswer, EventsAnswer, ReceiptAnswer, ReceiptsAnswer
 from service.wire.answers import fill_answer
@@ -55,7 +55,7 @@ def list_receipts(
     Those among the named ones, by the SHA-256 of their bytes, whose spectra are all stored: they need not be sent
     again.
     """
-    found = use.intake.find_receipts(sha256.split(","))
+    found = use.database.ask(lambda stores: stores.spectra.arrivals.find_receipts(sha256.split(",")))
     told = [one for digest in sorted(found) for one in found[digest][1]]
     return answer(request, {"stored": sorted(found), "warnings": told})
 
@@ -78,7 +78,7 @@ def list_events(
     """
     start = None if since is None else parse_instant("since", since)
     end = None if until is None else parse_instant("until", until)
-    events = use.intake.events(EventsAsked(cursor, limit, station, start, end, flag))
+    events = use.database.look(lambda stores: stores.spectra.events(cursor, limit, station, start, end, flag))
     return answer(request, page_of("events", events, limit, describe_event, attrgetter("number")))
 
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lbacal.instants import format_instant, parse_instant
+from lbacal.instants import SECOND_US, format_instant, parse_instant
 from lbacal.pages.chart import (
     BAND,
     BARS,
@@ -35,15 +34,13 @@ from lbacal_core.errors import name_path
 from lbacal_core.grids import WITHIN_1_SIGMA, Floats
 from service.page.span import Span
 from service.storage.changes import KeptChange
-from service.storage.versions import MeanC
-from service.usecases.drift import DriftSeries, MonthPoint
+from service.usecases.drift import DriftSeries, MonthPoint, VersionPoint
 from service.usecases.life import Life
 from service.usecases.status import StationState
 
 if TYPE_CHECKING:
     from lbacal_core.calibration.one_event import OverLst  # half a second to import
 
-US = 1e6
 HALF_A_MONTH = 15 * 86_400
 PERCENT = 100.0
 LANES = ("in effect", "versions", "changes", "causes", "alarms", "investigations")
@@ -107,11 +104,11 @@ def draw_changes(changes: Sequence[KeptChange], span: Span, ends: Sequence[Insta
             f"{name_members(one)}, {format_instant(one.change.date)[:10]}: {s:+.1f} ± {e:.1f} %"
             for (one, *_), s, e in zip(own, size, sigma, strict=True)
         ]
-        dates, links = [one.change.date / US for one, *_ in own], [address_of(one, span) for one, *_ in own]
+        dates, links = [one.change.date / SECOND_US for one, *_ in own], [address_of(one, span) for one, *_ in own]
         name = decision.replace("_", " ")
         series.append(Series(POINTS, dates, size, size - sigma, size + sigma, name, colour, titles=titles, links=links))
     instants = [*(one.change.date for one in changes), *(at for at in ends if at is not None)]
-    low, high = min(instants, default=0) / US, max(instants, default=0) / US
+    low, high = min(instants, default=0) / SECOND_US, max(instants, default=0) / SECOND_US
     limits = span.limits or (low, high if high > low else low + 1.0)
     return Chart("changes of C", "date (UTC)", "change of C (%)", series, ("time", "linear"), limits)
 
@@ -142,34 +139,12 @@ def draw_drift(series: Sequence[DriftSeries], versions: Sequence[Sequence[Versio
     )
 
 
-@dataclass(frozen=True)
-class VersionPoint:
-    """C of a version over that of the first of its polarisation, with its error; its window, and where it is shown."""
-
-    dipole: str
-    since: Instant
-    until: Instant
-    ratio: float
-    sigma: float
-    address: str
-
-
-def points_of(means: Iterable[MeanC], span: Span) -> list[VersionPoint]:
-    """Versions of a scope, each polarisation over its first."""
-    found, first = [], dict[str, float]()
-    for one in sorted(means, key=lambda mean: (mean.since, mean.calibration)):
-        ratio = one.c / first.setdefault(one.dipole, one.c)
-        address = f"/calibrations/{one.calibration}{span.query}"
-        found.append(VersionPoint(one.dipole, one.since, one.until, ratio, ratio * one.c_sigma / one.c, address))
-    return found
-
-
 def _draw_months(
     one: DriftSeries, colour: int, versions: Sequence[VersionPoint], span: Span, address: str = ""
 ) -> Iterator[Series]:
     name = name_path(*one.scope.parts)
     months: list[MonthPoint] = [month for month in one.months if span.has(month.month)]
-    at = [month.month / US + HALF_A_MONTH for month in months]
+    at = [month.month / SECOND_US + HALF_A_MONTH for month in months]
     low, middle, high = ([getattr(month, part) for month in months] for part in ("low", "c_ratio", "high"))
     titles = [
         f"{name} {format_instant(m.month)[:7]}: {m.c_ratio:.4f}, {m.low:.4f} to {m.high:.4f} "
@@ -185,18 +160,16 @@ def _draw_months(
         at_line, values = [t for t, _ in lines], [value for _, value in lines]
         yield Series(LINE, at_line, values, name=f"{name}: season and slope", colour=colour, style=1)
     for version in versions:
-        if not (span.has(version.since) or span.has(version.until)):
+        of, ratio = version.mean, 1.0 + version.change
+        if not (span.has(of.since) or span.has(of.until)):
             continue
         # one beside the other: polarisations share their windows
-        share = 0.48 if version.dipole == "X" else 0.52
-        middle_of = (version.since + share * (version.until - version.since)) / US
-        title = f"{name} {version.dipole}, version of {_days(version.since, version.until)}: {version.ratio:.4f}"
-        title += f" ± {version.sigma:.4f}"
-        ends = [version.ratio - version.sigma], [version.ratio + version.sigma]
-        colour_of = OF_DIPOLE.get(version.dipole, INK)
+        middle_of = (of.since + (0.48 if of.dipole == "X" else 0.52) * (of.until - of.since)) / SECOND_US
+        sigma, links = ratio * of.c_sigma / of.c, [f"/calibrations/{of.calibration}{span.query}"]
+        titles = [f"{name} {of.dipole}, version of {_days(of.since, of.until)}: {ratio:.4f} ± {sigma:.4f}"]
         yield Series(
-            POINTS, [middle_of], [version.ratio], *ends, f"version, {version.dipole}", colour_of, titles=[title],
-            links=[version.address],
+            POINTS, [middle_of], [ratio], [ratio - sigma], [ratio + sigma], f"version, {of.dipole}",
+            OF_DIPOLE.get(of.dipole, INK), titles=titles, links=links,
         )  # fmt: skip
 
 
@@ -205,18 +178,20 @@ def _days(since: Instant | None, until: Instant | None) -> str:
     return f"{begin} to {end}"
 
 
-def draw_path(life: Life, drift: DriftSeries, span: Span, at: Instant | None, address: str) -> Chart:
+def draw_path(
+    life: Life, drift: DriftSeries, versions: Sequence[VersionPoint], span: Span, at: Instant | None, address: str
+) -> Chart:
     """C over time with its error, the versions, and where what changed: a click on a month asks for C on that date."""
-    parts = list(_draw_months(drift, 2, points_of(drift.versions, span), span, address))
+    parts = list(_draw_months(drift, 2, versions, span, address))
     marks = [one for one in life.changes if one.ended is None]
     titles = [
         f"{name_members(one)} changed on {format_instant(one.change.date)[:10]} ({one.decision})" for one in marks
     ]
     links = [address_of(one, span) for one in marks]
-    dates = [one.change.date / US for one in marks]
+    dates = [one.change.date / SECOND_US for one in marks]
     parts.append(Series(MARK, dates, name="change", colour=RED, style=1, titles=titles, links=links))
     if at is not None:
-        parts.append(Series(MARK, [at / US], name="shown below", colour=GREEN, titles=[format_instant(at)[:10]]))
+        parts.append(Series(MARK, [at / SECOND_US], name="shown below", colour=GREEN, titles=[format_instant(at)[:10]]))
     label, limits = "C / C of the first year", find_days(life, drift, span)
     return Chart(
         "C over time", "date (UTC)", label, parts, ("time", "linear"), limits, width=WIDE, height=320, left=LEFT
@@ -228,7 +203,7 @@ def draw_life(life: Life, limits: tuple[float, float], span: Span, now: Instant)
     series: list[Series] = []
 
     def add(lane: str, since: Instant | None, until: Instant | None, title: str, link: str, colour: int) -> None:
-        first, last = (edge if at is None else at / US for at, edge in zip((since, until), limits, strict=True))
+        first, last = (edge if at is None else at / SECOND_US for at, edge in zip((since, until), limits, strict=True))
         row = LANES.index(lane)
         if first < limits[1] and last > limits[0]:
             ends = [min(max(one, limits[0]), limits[1]) for one in (first, last)]
@@ -268,7 +243,7 @@ def draw_environment(
     """Draw weather and other covariates month by month: the mean, and the middle 68 %; the first few by name."""
     charts = {}
     for name, months in list(found.items())[:MOST_COVARIATES]:
-        at = [month / US + HALF_A_MONTH for month, _ in months]
+        at = [month / SECOND_US + HALF_A_MONTH for month, _ in months]
         middle = [float(values.mean()) for _, values in months]
         low, high = zip(*(np.percentile(values, WITHIN_1_SIGMA) for _, values in months), strict=True)
         titles = [
@@ -288,11 +263,13 @@ def draw_environment(
 
 def find_days(life: Life, drift: DriftSeries, span: Span) -> tuple[float, float]:
     """The days that are shown: the span, where it is open those of the data."""
-    known = [month.month / US for month in drift.months] + [at / US for one in life.versions for at in one.window]
-    known += [at / US for one in life.investigations for at in (one.since, one.until)]
+    known = [month.month / SECOND_US for month in drift.months] + [
+        at / SECOND_US for one in life.versions for at in one.window
+    ]
+    known += [at / SECOND_US for one in life.investigations for at in (one.since, one.until)]
     first, last = min(known, default=0.0), max(known, default=1.0)
-    low = first if span.since is None else span.since / US
-    high = last if span.until is None else span.until / US
+    low = first if span.since is None else span.since / SECOND_US
+    high = last if span.until is None else span.until / SECOND_US
     return (low, high) if low < high else (low, low + 1.0)
 
 
@@ -309,10 +286,11 @@ def draw_matrix(station: str, years: Sequence[str], span: Span) -> Chart | None:
     if not cells:
         return None
     paths = sorted({(antenna, dipole) for antenna, dipole, _ in cells})
-    months = _every_month(min(month for *_, month in cells), max(month for *_, month in cells))
+    first, last = (np.datetime64(pick(month for *_, month in cells), "M") for pick in (min, max))
+    months = [str(month) for month in np.arange(first, last + 1)]
     values = np.array([[cells.get((*path, month), np.nan) for month in months] for path in paths], dtype=float)
     limit = max(2.0, PERCENT * float(np.nanmax(np.abs(values))))
-    edges = [parse_instant("month", f"{month}-01") / US for month in (months[0], _following(months[-1]))]
+    edges = [parse_instant("month", f"{month}-01") / SECOND_US for month in (first, last + 1)]
     image = Series(
         IMAGE, edges, (len(paths) - 0.5, -0.5), name="%", image=PERCENT * values[::-1], limit=limit,
         links=[f"/paths/{station}/{antenna}/{dipole}{span.query}" for antenna, dipole in paths],
@@ -325,18 +303,6 @@ def draw_matrix(station: str, years: Sequence[str], span: Span) -> Chart | None:
         "change of C of every path", "month (UTC)", "antenna and dipole", [image], ("time", "linear"), limits,
         (len(paths) - 0.5, -0.5), rows, WIDE, height,
     )  # fmt: skip
-
-
-def _following(month: str) -> str:
-    year, number = int(month[:4]), int(month[5:])
-    return f"{year + number // 12}-{number % 12 + 1:02d}"
-
-
-def _every_month(first: str, last: str) -> list[str]:
-    found = [first]
-    while found[-1] < last:
-        found.append(_following(found[-1]))
-    return found
 
 
 def draw_over_lst(found: OverLst, name: str) -> Chart:

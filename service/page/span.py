@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from urllib.parse import urlencode
 
-from lbacal.instants import format_instant
+from lbacal.instants import SECOND_US, format_instant
 from lbacal_core.curves.validity import Instant
-
-US = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -25,7 +23,7 @@ class Span:
     @property
     def limits(self) -> tuple[float, float] | None:
         """Both ends in seconds, for an axis; None where one of them is open."""
-        return None if self.since is None or self.until is None else (self.since / US, self.until / US)
+        return None if self.since is None or self.until is None else (self.since / SECOND_US, self.until / SECOND_US)
 
     @property
     def days(self) -> dict[str, str]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from sqlalchemy import (
     BigInteger,
     Boolean,
@@ -35,11 +37,15 @@ metadata = MetaData(
     }
 )
 
+
+def _table(name: str, *parts: Any, comment: str | None = None) -> Table:
+    return Table(name, metadata, *parts, comment=comment)
+
+
 BigNumber = BigInteger().with_variant(Integer, "sqlite")  # SQLite counts rows in INTEGER PRIMARY KEY only
 
-event = Table(
+event = _table(
     "event",
-    metadata,
     Column("id", BigNumber, primary_key=True),
     Column("event_id", Text, nullable=False, unique=True),
     Column("time_us", BigInteger, nullable=False, index=True),
@@ -47,9 +53,8 @@ event = Table(
     Column("flag", Text, comment="why the event is left out of fits; its history is in event_flag"),
 )
 
-event_flag = Table(
+event_flag = _table(
     "event_flag",
-    metadata,
     Column("id", BigNumber, primary_key=True),
     Column("event", BigNumber, ForeignKey("event.id"), nullable=False, index=True),
     Column("flag", Text),
@@ -58,9 +63,8 @@ event_flag = Table(
     Column("at_us", BigInteger, nullable=False),
 )
 
-path = Table(
+path = _table(
     "path",
-    metadata,
     Column("id", Integer, primary_key=True),
     Column("station", Text, nullable=False),
     Column("antenna", Integer, nullable=False),
@@ -68,9 +72,8 @@ path = Table(
     UniqueConstraint("station", "antenna", "dipole"),
 )
 
-spectrum = Table(
+spectrum = _table(
     "spectrum",
-    metadata,
     Column("path", Integer, ForeignKey("path.id"), nullable=False),
     Column("event", BigNumber, ForeignKey("event.id"), nullable=False),
     Column("time_us", BigInteger, nullable=False, comment="within a minute of that of its event"),
@@ -82,9 +85,8 @@ spectrum = Table(
     PrimaryKeyConstraint("event", "path"),
 )
 
-event_station = Table(
+event_station = _table(
     "event_station",
-    metadata,
     Column("event", BigNumber, ForeignKey("event.id"), nullable=False),
     Column("station", Text, nullable=False),
     Column("spectra", Integer, nullable=False, comment="how many are stored, written with them"),
@@ -92,18 +94,16 @@ event_station = Table(
     PrimaryKeyConstraint("event", "station"),
 )
 
-receipt = Table(
+receipt = _table(
     "receipt",
-    metadata,
     Column("sha256", Text, primary_key=True, comment="of a body whose spectra are all stored"),
     Column("spectra", Integer, nullable=False, comment="how many it holds"),
     Column("warnings", Text, comment="what was said of it, JSON"),
     Column("at_us", BigInteger, nullable=False),
 )
 
-calibration = Table(
+calibration = _table(
     "calibration",
-    metadata,
     Column("id", Text, primary_key=True, comment="SHA-256 of the inputs"),
     Column("scope", Text, nullable=False, index=True, comment="array, CS002 or CS002/17/X"),
     Column("station", Text),
@@ -126,9 +126,8 @@ calibration = Table(
     Index("ix_calibration_gated", "id", sqlite_where=IS_GATED, postgresql_where=IS_GATED),
 )
 
-examined = Table(
+examined = _table(
     "examined",
-    metadata,
     Column("scope", Text, primary_key=True),
     Column("since_us", BigInteger, primary_key=True),
     Column("until_us", BigInteger, primary_key=True),
@@ -138,9 +137,8 @@ examined = Table(
     Column("made_us", BigInteger, nullable=False),
 )
 
-sums = Table(
+sums = _table(
     "sums",
-    metadata,
     Column("kind", Text, primary_key=True, comment="calibrations of scope array, station or antenna; or drift"),
     Column("scope", Text, primary_key=True, comment="whose spectra it was made from"),
     Column("since_us", BigInteger, primary_key=True),
@@ -155,23 +153,20 @@ sums = Table(
     comment="what is kept of the spectra of a block of time, so that later events are added to it: a cache",
 )
 
-chain_part = Table(
+chain_part = _table(
     "chain_part",
-    metadata,
     Column("sha256", Text, primary_key=True),
     Column("content", Text, nullable=False, comment="canonical JSON of a cable table or of the spreads of A g"),
 )
 
-budget = Table(
+budget = _table(
     "budget",
-    metadata,
     Column("sha256", Text, primary_key=True),
     Column("content", Text, nullable=False, comment="canonical JSON of the terms that curves share"),
 )
 
-calibration_mean = Table(
+calibration_mean = _table(
     "calibration_mean",
-    metadata,
     Column("calibration", Text, ForeignKey("calibration.id"), primary_key=True),
     Column("dipole", Text, primary_key=True),
     Column("c", Float, nullable=False, comment="mean of C over the band, V per ADC unit"),
@@ -181,9 +176,8 @@ calibration_mean = Table(
 WITHDRAWS = text("calibration IS NULL")
 """Selects withdrawals, which are few among all promotions."""
 
-promotion = Table(
+promotion = _table(
     "promotion",
-    metadata,
     Column("id", BigNumber, primary_key=True),
     Column("scope", Text, nullable=False),
     Column("station", Text),
@@ -202,9 +196,8 @@ promotion = Table(
     Index("ix_promotion_withdrawn_end", "scope", "valid_to_us", sqlite_where=WITHDRAWS, postgresql_where=WITHDRAWS),
 )
 
-standing = Table(
+standing = _table(
     "standing",
-    metadata,
     Column("scope", Text, primary_key=True),
     Column("valid_from_us", BigInteger, primary_key=True),
     Column("valid_to_us", BigInteger, primary_key=True, comment="2^63 - 1 where the interval is open"),
@@ -212,18 +205,16 @@ standing = Table(
     comment="what follows from the ledger: the promotions that can decide as of now",
 )
 
-edge = Table(
+edge = _table(
     "edge",
-    metadata,
     Column("station", Text, primary_key=True, comment="empty for the array"),
     Column("at_us", BigInteger, primary_key=True, comment="where an interval begins or ends"),
     Column("known_us", BigInteger, nullable=False, comment="the instant `at` of the first promotion that has it"),
     comment="what follows from the ledger: between two edges every answer about a station is the same",
 )
 
-tag = Table(
+tag = _table(
     "tag",
-    metadata,
     Column("name", Text, primary_key=True),
     Column("as_of_us", BigInteger, nullable=False, index=True, comment="the instant at which the ledger is frozen"),
     Column("by", Text, nullable=False),
@@ -231,9 +222,8 @@ tag = Table(
     Column("at_us", BigInteger, nullable=False, comment="when it was made"),
 )
 
-investigation = Table(
+investigation = _table(
     "investigation",
-    metadata,
     Column("id", Text, primary_key=True, comment="hash of the inputs"),
     Column("station", Text, nullable=False),
     Column("since_us", BigInteger, nullable=False),
@@ -248,16 +238,14 @@ investigation = Table(
     Index("ix_investigation_newest", "station", "until_us", "made_us", "id"),
 )
 
-model = Table(
+model = _table(
     "model",
-    metadata,
     Column("id", Text, primary_key=True, comment="SHA-256 of the content"),
     Column("content", Text, nullable=False, comment="canonical JSON of the adopted causes"),
 )
 
-model_change = Table(
+model_change = _table(
     "model_change",
-    metadata,
     Column("id", BigNumber, primary_key=True),
     Column("station", Text, nullable=False),
     Column("act", Text, nullable=False, comment="adopted or withdrawn"),
@@ -277,9 +265,8 @@ model_change = Table(
     Index(None, "station", "id"),
 )
 
-model_gain = Table(
+model_gain = _table(
     "model_gain",
-    metadata,
     Column("cause", Text, ForeignKey("model.id"), primary_key=True),
     Column("since_us", BigInteger, primary_key=True),
     Column("until_us", BigInteger, primary_key=True),
@@ -291,9 +278,8 @@ model_gain = Table(
     Column("made_us", BigInteger, nullable=False),
 )
 
-job = Table(
+job = _table(
     "job",
-    metadata,
     Column("id", BigNumber, primary_key=True),
     Column("kind", Text, nullable=False),
     Column("request", Text, nullable=False, comment="JSON"),
@@ -307,9 +293,8 @@ job = Table(
     Index("ix_job_work", "kind", "request"),
 )
 
-job_part = Table(
+job_part = _table(
     "job_part",
-    metadata,
     Column("id", BigNumber, primary_key=True),
     Column("job", BigNumber, ForeignKey("job.id"), nullable=False, index=True),
     Column("request", Text, nullable=False, comment="JSON"),
@@ -327,9 +312,8 @@ job_part = Table(
     Index("ix_job_part_settled", "ended_us", sqlite_where=HAS_SETTLED, postgresql_where=HAS_SETTLED),
 )
 
-process = Table(
+process = _table(
     "process",
-    metadata,
     Column("name", Text, primary_key=True, comment="host, number and a random part"),
     Column("kind", Text, nullable=False, comment="api, scheduler or worker"),
     Column("started_us", BigInteger, nullable=False),
@@ -337,9 +321,8 @@ process = Table(
     Column("inputs", Text, comment="hashes of what it works with: instrument, sky power, model version; JSON"),
 )
 
-deed = Table(
+deed = _table(
     "deed",
-    metadata,
     Column("by", Text, primary_key=True),
     Column("name", Text, primary_key=True, comment="the Idempotency-Key of a request"),
     Column("request_sha256", Text, nullable=False),
@@ -347,9 +330,8 @@ deed = Table(
     Column("at_us", BigInteger, nullable=False, index=True),
 )
 
-api_key = Table(
+api_key = _table(
     "api_key",
-    metadata,
     Column("id", Integer, primary_key=True),
     Column("sha256", Text, nullable=False, unique=True),
     Column("name", Text, comment="who or what uses it"),
@@ -359,17 +341,15 @@ api_key = Table(
     Column("revoked_us", BigInteger),
 )
 
-session = Table(
+session = _table(
     "session",
-    metadata,
     Column("sha256", Text, primary_key=True, comment="of what the cookie holds"),
     Column("key", Integer, ForeignKey("api_key.id"), nullable=False),
     Column("expires_us", BigInteger, nullable=False),
 )
 
-alarm = Table(
+alarm = _table(
     "alarm",
-    metadata,
     Column("id", BigNumber, primary_key=True),
     Column("kind", Text, nullable=False),
     Column("scope", Text, nullable=False, comment="array, CS002 or CS002/17/X"),
@@ -394,9 +374,8 @@ alarm = Table(
 
 # What drift tells: caches of what follows from the blocks of drift. With them the schema is whole.
 
-drift_year = Table(
+drift_year = _table(
     "drift_year",
-    metadata,
     Column("station", Text, primary_key=True, comment="empty for the array"),
     Column("since_us", BigInteger, primary_key=True, comment="the first instant of the year"),
     Column("digest", Text, nullable=False, comment="hash of its months"),
@@ -406,9 +385,8 @@ drift_year = Table(
     Column("ratios", LargeBinary, comment="little-endian f8 (path, month, number); null for the array"),
 )
 
-change = Table(
+change = _table(
     "change",
-    metadata,
     Column("id", BigNumber, primary_key=True),
     Column("station", Text, comment="null for the array"),
     Column("paths", Text, nullable=False, comment="JSON: antenna and dipole (null: both) of each; empty for all"),
@@ -423,9 +401,8 @@ change = Table(
     comment="what changed in a path, a station or the array, one row whoever found it",
 )
 
-change_evidence = Table(
+change_evidence = _table(
     "change_evidence",
-    metadata,
     Column("id", BigNumber, primary_key=True),
     Column("change", BigNumber, ForeignKey("change.id"), nullable=False, index=True),
     Column("source", Text, nullable=False, comment="drift, investigation, record or person"),
@@ -435,9 +412,8 @@ change_evidence = Table(
     Column("ended_us", BigInteger, comment="when the source no longer said so; null while it does"),
 )
 
-change_decision = Table(
+change_decision = _table(
     "change_decision",
-    metadata,
     Column("id", BigNumber, primary_key=True),
     Column("change", BigNumber, ForeignKey("change.id"), nullable=False, index=True),
     Column("decision", Text, nullable=False, comment="in_force or dismissed"),
@@ -446,9 +422,8 @@ change_decision = Table(
     Column("reason", Text, nullable=False),
 )
 
-drift_report = Table(
+drift_report = _table(
     "drift_report",
-    metadata,
     Column("inputs", Text, primary_key=True, comment="hash of what it was made from"),
     Column("report", Text, nullable=False, comment="JSON"),
     Column("made_us", BigInteger, nullable=False),

@@ -14,7 +14,7 @@ from lbacal_core.provenance import canonical_json
 from service.errors import NotFoundError
 from service.schema.tables import alarm
 from service.storage.changes import is_same_date
-from service.storage.rows import Store, from_row, scope_columns
+from service.storage.rows import Store, equal, from_row, scope_columns
 
 STEP = "step"
 SLOPE = "slope"
@@ -110,14 +110,12 @@ class AlarmStore(Store):
         """Raise an alarm, or see the one again that this problem has; its number."""
         return self._see(news, self._of([news.kind], news.scope.key), set(), now)
 
-    def settle(
-        self, kinds: Collection[str], present: Sequence[News], now: Instant, station: str | None = None
-    ) -> list[int]:
-        """Take in the complete list of what is wrong of some kinds (and one station): the alarms that are new.
+    def settle(self, kinds: Collection[str], present: Sequence[News], now: Instant) -> list[int]:
+        """Take in the complete list of what is wrong of some kinds: the alarms that are new.
 
         What is there already is seen again, what is gone has ended.
         """
-        known = self._of(kinds, None, station)
+        known = self._of(kinds)
         before = {one.number for one in known}
         used: set[int] = set()
         for news in present:
@@ -146,10 +144,8 @@ class AlarmStore(Store):
 
     def newest(self, asked: AlarmsAsked, now: Instant) -> list[Alarm]:
         """Alarms in some states, newest first."""
-        statement = select(alarm).where(or_(*(_in_state(state, now) for state in asked.states)))
-        for column, wanted in ((alarm.c.kind, asked.kind), (alarm.c.station, asked.station)):
-            if wanted is not None:
-                statement = statement.where(column == wanted)
+        in_states = or_(*(_in_state(state, now) for state in asked.states))
+        statement = select(alarm).where(in_states, *equal(alarm, kind=asked.kind, station=asked.station))
         if asked.before is not None:
             statement = statement.where(alarm.c.id < asked.before)
         statement = statement.order_by(alarm.c.id.desc()).limit(asked.limit)
@@ -165,13 +161,9 @@ class AlarmStore(Store):
         statement = select(func.count()).select_from(alarm).where(alarm.c.raised_us > since, alarm.c.ended_us.is_(None))
         return int(self._connection.execute(statement).scalar_one())
 
-    def _of(self, kinds: Iterable[str], scope: str | None, station: str | None = None) -> list[Alarm]:
-        statement = select(alarm).where(alarm.c.kind.in_(list(kinds))).order_by(alarm.c.id)
-        if scope is not None:
-            statement = statement.where(alarm.c.scope == scope)
-        if station is not None:
-            statement = statement.where(alarm.c.station == station)
-        return [_value(row) for row in self._connection.execute(statement)]
+    def _of(self, kinds: Iterable[str], scope: str | None = None) -> list[Alarm]:
+        asked = alarm.c.kind.in_(list(kinds)), *equal(alarm, scope=scope)
+        return [_value(row) for row in self._connection.execute(select(alarm).where(*asked).order_by(alarm.c.id))]
 
     def _see(self, news: News, known: Sequence[Alarm], used: set[int], now: Instant) -> int:
         """Update the alarm of a problem, or make one."""

@@ -22,7 +22,7 @@ from lbacal_core.curves.validity import Instant, Promotion, Scope
 from lbacal_core.errors import name_path
 from service.errors import NotFoundError
 from service.schema.tables import change, change_decision, change_evidence
-from service.storage.rows import Store, from_row, to_row
+from service.storage.rows import Store, equal, from_row, to_row
 
 STEP = "step"
 KINDS = (STEP, "ramp", "season", "course")
@@ -235,10 +235,8 @@ class ChangeStore(Store):
 
     def kept(self, station: str | None = None, as_of: Instant | None = None) -> list[KeptChange]:
         """All of them, of all stations or of one, in order of station and date; as they were known at an instant."""
-        statement = select(change).order_by(change.c.station, change.c.date_us, change.c.id)
-        if station is not None:
-            statement = statement.where(change.c.station == station)
-        return self._read(statement, as_of)
+        statement = select(change).where(*equal(change, station=station))
+        return self._read(statement.order_by(change.c.station, change.c.date_us, change.c.id), as_of)
 
     def get(self, number: int) -> KeptChange:
         """Get one change."""
@@ -263,8 +261,7 @@ class ChangeStore(Store):
         """
         ended = select(func.count()).select_from(change_evidence).join(change)
         decided = select(func.coalesce(func.max(change_decision.c.id), 0)).select_from(change_decision).join(change)
-        inside = [change.c.date_us > since, change.c.date_us < until]
-        inside += [] if station is None else [change.c.station == station]
+        inside = [change.c.date_us > since, change.c.date_us < until, *equal(change, station=station)]
         asked = ended.where(change_evidence.c.ended_us.is_not(None), *inside), decided.where(*inside)
         pair = [int(self._connection.execute(one).scalar_one()) for one in asked]
         return pair if any(pair) else []

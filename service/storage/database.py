@@ -139,10 +139,6 @@ class Stores:
         self.alarms = AlarmStore(connection)
         self.keys = KeyStore(connection)
 
-    def require_prompt(self) -> None:
-        """Refuse to commit what was overtaken by the clock."""
-        self.ledger.require_prompt()
-
 
 class Database:
     """Opens transactions. One transaction a use case: it commits at the end of the block or leaves nothing.
@@ -166,6 +162,11 @@ class Database:
         """A transaction that only reads; everything in it sees the database at one instant."""
         with self._transaction(self._readers) as connection:
             yield Stores(connection)
+
+    def look(self, question: Callable[[Stores], Answer]) -> Answer:
+        """The answer to a question that needs no more than what stores return; see `read`."""
+        with self.read() as stores:
+            return question(stores)
 
     def ask(self, question: Callable[[Stores], Answer]) -> Answer:
         """The answer to a question of a statement or two, which needs no transaction: a round trip each.
@@ -196,7 +197,7 @@ class Database:
                 self._open.stores = Stores(connection)
                 try:
                     yield self._open.stores
-                    self._open.stores.require_prompt()
+                    self._open.stores.ledger.require_prompt()
                 finally:
                     self._open.stores = None
         except UnavailableError as error:

@@ -19,7 +19,7 @@ from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.grids import Floats
 from lbacal_core.provenance import canonical_json, hash_arrays, hash_content
 from service.schema.tables import drift_report, drift_year
-from service.storage.rows import Store, put_rows, to_row
+from service.storage.rows import Store, equal, put_rows, to_row
 
 LOCK = 5_240_123
 """Names the one lock under which months are written on PostgreSQL."""
@@ -83,12 +83,8 @@ class DriftStore(Store):
     def months_of_paths(self, station: str | None, since: Instant | None = None) -> list[PathMonths]:
         """The months of the paths of a station or of all, of all years or of one, in order of station and year."""
         columns = drift_year.c.station, drift_year.c.paths, drift_year.c.ratios
-        statement = select(*columns).where(drift_year.c.station != "")
-        statement = statement.order_by(drift_year.c.station, drift_year.c.since_us)
-        if station is not None:
-            statement = statement.where(drift_year.c.station == station)
-        if since is not None:
-            statement = statement.where(drift_year.c.since_us == since)
+        asked = drift_year.c.station != "", *equal(drift_year, station=station, since_us=since)
+        statement = select(*columns).where(*asked).order_by(drift_year.c.station, drift_year.c.since_us)
         found = []
         for row in self._connection.execute(statement):
             named, months = json.loads(row.paths)

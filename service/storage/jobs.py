@@ -28,10 +28,8 @@ GIVEN_UP = "given up: the scheduler has another instrument, sky power or model v
 """The error of due parts that were never tried: with the inputs of now they are due at once."""
 
 
-class LeaseLostError(ConflictError):
+class LeaseLostError(ConflictError, code="lease_lost"):
     """The part is no longer this worker's: it was silent for too long, or the job was cancelled."""
-
-    code = "lease_lost"
 
 
 @dataclass(frozen=True)
@@ -270,7 +268,7 @@ class JobStore(Store):
             for row in rows
         ]
 
-    def newest(self, *, before: int | None, limit: int) -> list[Job]:
+    def newest(self, *, before: int | None = None, limit: int = 100) -> list[Job]:
         """Jobs from the newest back, those with a number below `before`."""
         statement = select(job.c.id).order_by(job.c.id.desc()).limit(limit)
         if before is not None:

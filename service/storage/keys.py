@@ -10,7 +10,7 @@ from sqlalchemy import delete, select, update
 from lbacal_core.curves.validity import Instant
 from service.errors import NotFoundError
 from service.schema.tables import api_key, deed, session
-from service.storage.rows import Store, from_row, insert_into
+from service.storage.rows import Store, equal, from_row, insert_into
 
 
 @dataclass(frozen=True)
@@ -82,9 +82,7 @@ class KeyStore(Store):
             raise NotFoundError(f"no key {number} that could be revoked; `lbacal keys list` shows them")
 
     def _keys(self, sha256: str | None) -> list[Key]:
-        statement = select(api_key).order_by(api_key.c.id)
-        if sha256 is not None:
-            statement = statement.where(api_key.c.sha256 == sha256)
+        statement = select(api_key).where(*equal(api_key, sha256=sha256)).order_by(api_key.c.id)
         return [
             from_row(Key, row, number=row.id, scopes=tuple(json.loads(row.scopes)))
             for row in self._connection.execute(statement)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -11,7 +11,6 @@ from typing import Any
 from sqlalchemy import (
     BigInteger,
     ColumnElement,
-    Connection,
     FromClause,
     Row,
     ScalarSelect,
@@ -123,12 +122,10 @@ Neighbours = tuple[Neighbour | None, Neighbour | None]
 """The one before a gap and the one after it."""
 
 
-class LedgerStore:
+class LedgerStore(Store):
     """Promotions are inserted, never changed."""
 
-    def __init__(self, connection: Connection) -> None:
-        self._connection = connection
-        self._written: tuple[Instant, Callable[[], Instant]] | None = None
+    _written: tuple[Instant, Callable[[], Instant]] | None = None
 
     def lock(self) -> None:
         """Wait until nobody else promotes; held until the transaction ends."""
@@ -235,13 +232,23 @@ class LedgerStore:
 
     def decisive(self, scopes: Iterable[Scope], instant: Instant, as_of: Instant | None) -> dict[Scope, Promotion]:
         """The newest promotion of each scope that covers an instant, a withdrawal too."""
-        found = self._decisive([(scope.key, instant) for scope in scopes], as_of)
-        return {promotion.scope: promotion for promotion in found.values()}
+        found = self.decisive_at([(scope, instant) for scope in scopes], as_of)
+        return {scope: promotion for (scope, _), promotion in found.items()}
 
-    def decisive_at(self, asked: Iterable[tuple[Scope, Instant]]) -> dict[tuple[Scope, Instant], Promotion]:
-        """The newest promotion of scopes that covers an instant of each, as the ledger stands now."""
-        found = self._decisive([(scope.key, instant) for scope, instant in asked], None)
-        return {(promotion.scope, instant): promotion for (_, instant), promotion in found.items()}
+    def decisive_at(
+        self, asked: Iterable[tuple[Scope, Instant]], as_of: Instant | None = None
+    ) -> dict[tuple[Scope, Instant], Promotion]:
+        """The newest promotion of scopes that covers an instant of each, as the ledger stands now or stood."""
+        pairs = sorted({(scope.key, instant) for scope, instant in asked})
+        is_postgresql = self._connection.dialect.name == "postgresql"
+        if is_postgresql:
+            bound: dict[str, Any] = {"scopes": [key for key, _ in pairs], "instants": [instant for _, instant in pairs]}
+        else:
+            bound = {"pairs": json.dumps(pairs)}
+        if as_of is not None:
+            bound["as_of"] = as_of
+        rows = self._connection.execute(state_decisive(is_postgresql, is_pinned=as_of is not None), bound)
+        return {(made.scope, row.instant): made for row in rows for made in [_value(row)]}
 
     def latest(self, scopes: Iterable[Scope]) -> dict[Scope, Promotion]:
         """The version in effect at the begin of the last interval of each scope, by the present ledger."""
@@ -253,18 +260,28 @@ class LedgerStore:
         rows = self._connection.execute(statement.where(promotion.c.calibration.is_not(None))).all()
         return {scope: made for (scope, _), made in self.decisive_at((of_key[key], at) for key, at in rows).items()}
 
-    def neighbours(self, paths: Sequence[Scope], instant: Instant, as_of: Instant | None) -> dict[Scope, Neighbours]:
-        """The nearest promotions before and after an instant at which nothing answers for some paths, in two queries.
-
-        A path is answered by any of its scopes: its neighbour is the nearest of theirs, the narrowest of equally near.
-        """
-        return self._neighbours({path: path.widening for path in paths}, instant, as_of)
-
-    def neighbours_of_scopes(
-        self, scopes: Iterable[Scope], instant: Instant, as_of: Instant | None
+    def neighbours(
+        self, scopes_of: Mapping[Scope, Sequence[Scope]], instant: Instant, as_of: Instant | None
     ) -> dict[Scope, Neighbours]:
-        """The same of scopes by themselves: no wider one answers for them."""
-        return self._neighbours({scope: (scope,) for scope in scopes}, instant, as_of)
+        """The nearest promotions before and after an instant at which nothing answers, in two queries.
+
+        Any of its scopes may answer for a path: its neighbour is the nearest of theirs, the first of equally near.
+        """
+        edges = self._edges({scope.key for scopes in scopes_of.values() for scope in scopes}, instant, as_of)
+        last: dict[Scope, tuple[Instant, Scope]] = {}
+        first: dict[Scope, tuple[Instant, Scope]] = {}
+        for one, scopes in scopes_of.items():
+            ends = [(end, scope) for scope in scopes if (end := edges[scope.key][0]) is not None]
+            starts = [(start, scope) for scope in scopes if (start := edges[scope.key][1]) is not None]
+            if ends:
+                last[one] = max(ends, key=lambda end: end[0])
+            if starts:
+                first[one] = min(starts, key=lambda start: start[0])
+        asked = [(scope, end - 1) for end, scope in last.values()] + [(scope, start) for start, scope in first.values()]
+        decisive = self.decisive_at(asked, as_of)
+        before = {one: Neighbour(end, decisive[scope, end - 1]) for one, (end, scope) in last.items()}
+        after = {one: Neighbour(start, decisive[scope, start]) for one, (start, scope) in first.items()}
+        return {one: (before.get(one), after.get(one)) for one in scopes_of}
 
     def edges(self, as_of: Instant) -> dict[str | None, set[Instant]]:
         """Where intervals begin or end, by station (None: those of the array), as known at an instant."""
@@ -336,33 +353,6 @@ class LedgerStore:
         )
         return [_value(row) for row in self._connection.execute(statement.order_by(promotion.c.id.desc()).limit(limit))]
 
-    def _neighbours(
-        self, scopes_of: dict[Scope, tuple[Scope, ...]], instant: Instant, as_of: Instant | None
-    ) -> dict[Scope, Neighbours]:
-        edges = self._edges({scope.key for scopes in scopes_of.values() for scope in scopes}, instant, as_of)
-        last: dict[Scope, tuple[Instant, str]] = {}
-        first: dict[Scope, tuple[Instant, str]] = {}
-        for one, scopes in scopes_of.items():
-            ends = [(end, scope.key) for scope in scopes if (end := edges[scope.key][0]) is not None]
-            starts = [(start, scope.key) for scope in scopes if (start := edges[scope.key][1]) is not None]
-            if ends:
-                last[one] = max(ends, key=lambda end: end[0])
-            if starts:
-                first[one] = min(starts, key=lambda start: start[0])
-        asked = {(key, end - 1) for end, key in last.values()} | {(key, start) for start, key in first.values()}
-        decisive = self._decisive(asked, as_of)
-        found: dict[Scope, Neighbours] = {}
-        for one in scopes_of:
-            before = after = None
-            if one in last:
-                end, key = last[one]
-                before = Neighbour(end, decisive[key, end - 1])
-            if one in first:
-                start, key = first[one]
-                after = Neighbour(start, decisive[key, start])
-            found[one] = before, after
-        return found
-
     def _edges(
         self, keys: Iterable[str], instant: Instant, as_of: Instant | None
     ) -> dict[str, tuple[Instant | None, Instant | None]]:
@@ -396,21 +386,6 @@ class LedgerStore:
             )
             for key, version_end, withdrawn_from, version_start, withdrawn_to in self._connection.execute(statement)
         }
-
-    def _decisive(
-        self, asked: Iterable[tuple[str, Instant]], as_of: Instant | None
-    ) -> dict[tuple[str, Instant], Promotion]:
-        """The newest promotion of a scope at an instant, for each pair of them that has one."""
-        pairs = sorted(set(asked))
-        is_postgresql = self._connection.dialect.name == "postgresql"
-        if is_postgresql:
-            bound: dict[str, Any] = {"scopes": [key for key, _ in pairs], "instants": [instant for _, instant in pairs]}
-        else:
-            bound = {"pairs": json.dumps(pairs)}
-        if as_of is not None:
-            bound["as_of"] = as_of
-        rows = self._connection.execute(state_decisive(is_postgresql, is_pinned=as_of is not None), bound)
-        return {(row.scope, row.instant): _value(row) for row in rows}
 
     def _keys(self, keys: Iterable[str]) -> FromClause:
         """Scopes as a table of one column, `value`."""

@@ -10,13 +10,14 @@ from typing import Any
 
 from sqlalchemy import Column, Connection, Row, and_, func, or_, select
 
+from lbacal.instants import SECOND_US
 from lbacal_core.causes.model import Model, follows_date
 from lbacal_core.curves.validity import Instant
 from lbacal_core.errors import BadInputError
 from lbacal_core.provenance import canonical_json
 from service.errors import NotFoundError
 from service.schema.tables import investigation, model, model_change, model_gain
-from service.storage.rows import Store, add_rows, from_row, put_rows, to_row
+from service.storage.rows import Store, add_rows, equal, from_row, put_rows, to_row
 
 # Ids by their first digits, where no other id begins with them.
 
@@ -42,7 +43,6 @@ def complete_id(connection: Connection, column: Column[str], beginning: str, nou
 
 
 ADOPTED, WITHDRAWN = "adopted", "withdrawn"
-MICROSECONDS = 1e6
 STOPPED_SIGMA = 3.0
 """Standard deviations by which a gain lies below the expected one where a cause has stopped paying."""
 
@@ -143,9 +143,7 @@ class ModelStore(Store):
 
     def changes(self, station: str | None = None) -> list[ModelChange]:
         """The ledger, oldest first, of all stations or of one."""
-        statement = select(model_change).order_by(model_change.c.id)
-        if station is not None:
-            statement = statement.where(model_change.c.station == station)
+        statement = select(model_change).where(*equal(model_change, station=station)).order_by(model_change.c.id)
         return [_change(row) for row in self._connection.execute(statement)]
 
     def current(self) -> Model:
@@ -160,7 +158,7 @@ class ModelStore(Store):
 
         What follows the date is a change and no cause, also where somebody adopted it when that was not refused.
         """
-        acting = self.current().during(since / MICROSECONDS, until / MICROSECONDS)
+        acting = self.current().during(since / SECOND_US, until / SECOND_US)
         acting = Model(tuple(one for one in acting.causes if not follows_date(one.cause, one.parameters)))
         return acting if station is None else acting.of_stations([station])
 
@@ -203,6 +201,10 @@ class Investigation:
     reason: str
 
 
+_STATION = investigation.c.station
+_NEWEST = investigation.c.made_us.desc(), investigation.c.id
+
+
 class InvestigationStore(Store):
     """Investigations are made once."""
 
@@ -226,9 +228,8 @@ class InvestigationStore(Store):
 
     def newest(self, *, before: str | None, station: str | None, limit: int) -> Sequence[Investigation]:
         """Investigations from the newest back, those behind the one of the id `before`."""
-        statement = select(investigation).order_by(investigation.c.made_us.desc(), investigation.c.id.desc())
-        if station is not None:
-            statement = statement.where(investigation.c.station == station)
+        statement = select(investigation).where(*equal(investigation, station=station))
+        statement = statement.order_by(investigation.c.made_us.desc(), investigation.c.id.desc())
         if before is not None:
             last = self.get(before)
             is_earlier = investigation.c.made_us < last.made
@@ -238,40 +239,33 @@ class InvestigationStore(Store):
 
     def newest_covering(self, instant: Instant, station: str | None) -> list[Investigation]:
         """The newest investigation of each station whose window holds an instant, by station."""
-        order = (investigation.c.made_us.desc(), investigation.c.id)
-        rank = func.row_number().over(partition_by=investigation.c.station, order_by=order).label("rank")
-        held = select(investigation.c.id, rank).where(
-            investigation.c.since_us <= instant, investigation.c.until_us > instant
-        )
-        if station is not None:
-            held = held.where(investigation.c.station == station)
-        ranked = held.subquery()
-        statement = select(investigation).join(ranked, ranked.c.id == investigation.c.id).where(ranked.c.rank == 1)
-        return [_value(row) for row in self._connection.execute(statement.order_by(investigation.c.station))]
+        holds = investigation.c.since_us <= instant, investigation.c.until_us > instant
+        return self._ranked((_STATION,), _NEWEST, 1, *holds, *equal(investigation, station=station))
 
     def newest_with_findings(self) -> list[Investigation]:
         """The newest investigation of every station's window, of those that found a cause; by station and window."""
-        window = (investigation.c.station, investigation.c.since_us, investigation.c.until_us)
-        order = (investigation.c.made_us.desc(), investigation.c.id)
-        rank = func.row_number().over(partition_by=window, order_by=order).label("rank")
-        ranked = select(investigation.c.id, rank).subquery()
-        statement = select(investigation).join(ranked, ranked.c.id == investigation.c.id).where(ranked.c.rank == 1)
-        statement = statement.where(investigation.c.verdict != "consistent").order_by(*window)
-        return [_value(row) for row in self._connection.execute(statement)]
+        window = _STATION, investigation.c.since_us, investigation.c.until_us
+        return self._ranked(window, _NEWEST, 1, is_shown=investigation.c.verdict != "consistent")
 
     def newest_pairs(self) -> list[tuple[Investigation, Investigation | None]]:
         """The newest investigation of every station's last window, and the one before it, of that window or an earlier.
 
         Stations come in alphabetical order.
         """
-        order = (investigation.c.until_us.desc(), investigation.c.made_us.desc(), investigation.c.id)
-        rank = func.row_number().over(partition_by=investigation.c.station, order_by=order).label("rank")
-        ranked = select(investigation.c.id, rank).subquery()
-        statement = select(investigation).join(ranked, ranked.c.id == investigation.c.id).where(ranked.c.rank <= 2)
         of_station: dict[str, list[Investigation]] = {}
-        for row in self._connection.execute(statement.order_by(investigation.c.station, ranked.c.rank)):
-            of_station.setdefault(row.station, []).append(_value(row))
+        for one in self._ranked((_STATION,), (investigation.c.until_us.desc(), *_NEWEST), 2):
+            of_station.setdefault(one.station, []).append(one)
         return [(newest, before[0] if before else None) for newest, *before in of_station.values()]
+
+    def _ranked(
+        self, groups: Sequence[Any], order: Sequence[Any], most: int, *which: Any, is_shown: Any = True
+    ) -> list[Investigation]:
+        """The first investigations of each group, of those that are shown, in order of the groups."""
+        rank = func.row_number().over(partition_by=groups, order_by=order).label("rank")
+        ranked = select(investigation.c.id, rank).where(*which).subquery()
+        joined = select(investigation).join(ranked, ranked.c.id == investigation.c.id)
+        shown = joined.where(ranked.c.rank <= most, is_shown).order_by(*groups, ranked.c.rank)
+        return [_value(row) for row in self._connection.execute(shown)]
 
 
 def _value(row: Row[Any]) -> Investigation:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import Any, TypeVar
 
-from sqlalchemy import Connection, Row, Table
+from sqlalchemy import ColumnElement, Connection, Row, Table
 from sqlalchemy.dialects.postgresql import insert as postgresql_insert
 from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
@@ -46,6 +46,11 @@ def to_row(value: Any, table: Table, **given: Any) -> dict[str, Any]:
     """The fields of a value by the names of columns, an instant `made` under `made_us`; `given` are other columns."""
     of_value = {column.name: column.name.removesuffix("_us") for column in table.columns if column.name not in given}
     return {**{name: getattr(value, one) for name, one in of_value.items() if hasattr(value, one)}, **given}
+
+
+def equal(table: Table, **wanted: Any) -> list[ColumnElement[bool]]:
+    """Conditions on columns by their names; None asks nothing of a column."""
+    return [table.c[name] == value for name, value in wanted.items() if value is not None]
 
 
 def scope_columns(scope: Scope) -> dict[str, Any]:

@@ -13,7 +13,6 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import (
-    BigInteger,
     ColumnElement,
     Connection,
     Row,
@@ -33,7 +32,7 @@ from lbacal_core.spectra.screening import measure_level
 from lbacal_core.spectra.spectra import MAX_COVARIATES, Spectra
 from service.errors import ConflictError, NotFoundError
 from service.schema.tables import IS_FAR, event, event_flag, event_station, path, receipt, spectrum
-from service.storage.rows import Store, add_rows, insert_into
+from service.storage.rows import Store, add_rows, equal, insert_into
 
 # Spectra as they arrive: each event, covariate and spectrum is stored once, whoever sends it how often.
 #
@@ -321,18 +320,6 @@ class StoredEvent:
 
 
 @dataclass(frozen=True)
-class EventsAsked:
-    """Which events are listed: those after a cursor, of a station, a time or a flag where these are given."""
-
-    cursor: int = 0
-    limit: int = 100
-    station: str | None = None
-    since: Instant | None = None
-    until: Instant | None = None
-    flag: str | None = None
-
-
-@dataclass(frozen=True)
 class Window:
     """The spectra of a fit: the usable events of [since, until), of a scope; None for station means all."""
 
@@ -411,10 +398,11 @@ class SpectraStore(Store):
             place = {one.id: k for k, one in enumerate(paths)}
             grouped = groupby(rows, key=lambda row: row.path)
             return len(rows), ((place[path_id], [row[1:] for row in of_path]) for path_id, of_path in grouped)
-        bounds = _bounds(window)
-        found = (self._connection.execute(_OF_A_PATH, {"path": one.id, **bounds}).all() for one in paths)
-        most = len(paths) * int(self._connection.execute(_COUNT_OF_EVENTS, bounds).scalar_one())
-        return most, ((k, of_path) for k, of_path in enumerate(found) if of_path)
+        of_path = _usable(select(*_COLUMNS), window).order_by(spectrum.c.event)
+        found = (self._connection.execute(of_path.where(spectrum.c.path == one.id)).all() for one in paths)
+        events = select(func.count()).select_from(event).where(*_of_events(_near(window), event.c.flag.is_(None)))
+        most = len(paths) * int(self._connection.execute(events).scalar_one())
+        return most, ((k, rows) for k, rows in enumerate(found) if rows)
 
     def _covariates(self, numbers: NDArray[np.int64]) -> dict[str, Floats]:
         """Covariates by name at the events of some row numbers, shape (row,); NaN where unknown."""
@@ -431,12 +419,8 @@ class SpectraStore(Store):
 
     def _paths(self, scope: Scope) -> Sequence[Row[Any]]:
         """The stored paths of a scope, in key order."""
-        statement = select(path).order_by(path.c.station, path.c.antenna, path.c.dipole)
-        if scope.station is not None:
-            statement = statement.where(path.c.station == scope.station)
-        if scope.antenna is not None:
-            statement = statement.where(path.c.antenna == scope.antenna, path.c.dipole == scope.dipole)
-        return self._connection.execute(statement).all()
+        statement = select(path).where(*_of_scope(scope))
+        return self._connection.execute(statement.order_by(path.c.station, path.c.antenna, path.c.dipole)).all()
 
     def stations(self) -> list[str]:
         """Stations with spectra, in alphabetical order."""
@@ -466,8 +450,7 @@ class SpectraStore(Store):
 
     def count_after(self, scope: Scope, instant: Instant) -> int:
         """How many spectra of a path are newer than an instant."""
-        statement = _joined(select(func.count())).where(path.c.station == scope.station)
-        statement = statement.where(path.c.antenna == scope.antenna, path.c.dipole == scope.dipole)
+        statement = _joined(select(func.count())).where(*_of_scope(scope))
         statement = statement.where(event.c.time_us > instant - EVENT_SPAN_US, spectrum.c.time_us > instant)
         return int(self._connection.execute(statement).scalar_one())
 
@@ -520,9 +503,9 @@ class SpectraStore(Store):
         kept = select(
             event_station.c.station, func.sum(event_station.c.spectra - event_station.c.waiting).label("spectra")
         )
-        kept = kept.join(event, event.c.id == event_station.c.event).where(*_of_events(inner, event.c.flag.is_(None)))
-        if window.scope.station is not None:
-            kept = kept.where(event_station.c.station == window.scope.station)
+        kept = kept.join(event, event.c.id == event_station.c.event).where(
+            *_of_events(inner, event.c.flag.is_(None)), *equal(event_station, station=window.scope.station)
+        )
         # only of an event within a minute of an end may some spectra lie beyond it
         ends = [
             counted.where(*_of_events(Window(since, since + 2 * EVENT_SPAN_US)))
@@ -540,8 +523,7 @@ class SpectraStore(Store):
     def newest_event(self, window: Window) -> int:
         """The number of the event that came last into a window, of whatever scope; 0 where there is none."""
         newest = select(func.coalesce(func.max(event.c.id), 0))
-        newest = newest.where(event.c.time_us >= window.since - EVENT_SPAN_US)
-        newest = newest.where(event.c.time_us < window.until + EVENT_SPAN_US)
+        newest = newest.where(*_of_events(_near(window)))
         return int(self._connection.execute(newest).scalar_one())
 
     def stations_with(self, since: Instant, until: Instant, least: int) -> dict[str, Content]:
@@ -560,18 +542,21 @@ class SpectraStore(Store):
         of_paths = _usable(select(func.count().label("spectra")), window).group_by(spectrum.c.path).subquery()
         return int(self._connection.execute(select(func.max(of_paths.c.spectra))).scalar_one() or 0)
 
-    def events(self, asked: EventsAsked) -> list[StoredEvent]:
-        """Stored events in the order in which they came."""
-        statement = select(event).where(event.c.id > asked.cursor).order_by(event.c.id).limit(asked.limit)
-        if asked.since is not None:
-            statement = statement.where(event.c.time_us >= asked.since)
-        if asked.until is not None:
-            statement = statement.where(event.c.time_us < asked.until)
-        if asked.flag is not None:
+    def events(
+        self, cursor: int = 0, limit: int = 100, station: str | None = None, since: Instant | None = None,
+        until: Instant | None = None, flag: str | None = None,
+    ) -> list[StoredEvent]:  # fmt: skip
+        """Stored events after a cursor in the order in which they came; of a station, a time, a flag where given."""
+        statement = select(event).where(event.c.id > cursor).order_by(event.c.id).limit(limit)
+        if since is not None:
+            statement = statement.where(event.c.time_us >= since)
+        if until is not None:
+            statement = statement.where(event.c.time_us < until)
+        if flag is not None:
             is_waiting = event.c.id.in_(select(event_station.c.event).where(event_station.c.waiting > 0))
-            statement = statement.where(is_waiting if asked.flag == FAR_LEVEL else event.c.flag == asked.flag)
-        if asked.station is not None:
-            of_station = select(event_station.c.event).where(event_station.c.station == asked.station)
+            statement = statement.where(is_waiting if flag == FAR_LEVEL else event.c.flag == flag)
+        if station is not None:
+            of_station = select(event_station.c.event).where(event_station.c.station == station)
             statement = statement.where(event.c.id.in_(of_station))
         return self._with_counts(self._connection.execute(statement).all())
 
@@ -633,11 +618,15 @@ class SpectraStore(Store):
 
 def _usable(statement: Select[Any], window: Window) -> Select[Any]:
     """Restrict a statement to the spectra that a fit of a window uses."""
-    near = Window(window.since - EVENT_SPAN_US, window.until + EVENT_SPAN_US)
-    return _of_scope(_joined(statement), window.scope).where(
-        *_of_events(near, event.c.flag.is_(None)), spectrum.c.far.is_(None),
+    return _joined(statement).where(
+        *_of_scope(window.scope), *_of_events(_near(window), event.c.flag.is_(None)), spectrum.c.far.is_(None),
         spectrum.c.time_us >= window.since, spectrum.c.time_us < window.until,
     )  # fmt: skip
+
+
+def _near(window: Window) -> Window:
+    """Where the events of its spectra lie."""
+    return Window(window.since - EVENT_SPAN_US, window.until + EVENT_SPAN_US)
 
 
 def _of_events(window: Window, *more: ColumnElement[bool]) -> tuple[ColumnElement[bool], ...]:
@@ -645,36 +634,12 @@ def _of_events(window: Window, *more: ColumnElement[bool]) -> tuple[ColumnElemen
     return (event.c.time_us >= window.since, event.c.time_us < window.until, *more)
 
 
-def _of_scope(statement: Select[Any], scope: Scope) -> Select[Any]:
-    if scope.station is not None:
-        statement = statement.where(path.c.station == scope.station)
-    if scope.antenna is not None:
-        statement = statement.where(path.c.antenna == scope.antenna, path.c.dipole == scope.dipole)
-    return statement
+def _of_scope(scope: Scope) -> list[ColumnElement[bool]]:
+    dipole = None if scope.antenna is None else scope.dipole
+    return equal(path, station=scope.station, antenna=scope.antenna, dipole=dipole)
 
 
-def _bounds(window: Window) -> dict[str, Instant]:
-    """The window, and the one in which its events lie."""
-    near = {"near_since": window.since - EVENT_SPAN_US, "near_until": window.until + EVENT_SPAN_US}
-    return {"since": window.since, "until": window.until, **near}
-
-
-_OF_USABLE_EVENTS = (
-    event.c.flag.is_(None),
-    event.c.time_us >= bindparam("near_since", type_=BigInteger),
-    event.c.time_us < bindparam("near_until", type_=BigInteger),
-)
-_COUNT_OF_EVENTS = select(func.count()).select_from(event).where(*_OF_USABLE_EVENTS)
-"""How many spectra a path of a window may have."""
 _COLUMNS = spectrum.c.event, spectrum.c.time_us, spectrum.c.blocks, spectrum.c.power, event.c.event_id
-_OF_A_PATH = (
-    select(*_COLUMNS)
-    .join(event, event.c.id == spectrum.c.event)
-    .where(spectrum.c.path == bindparam("path", type_=BigInteger), spectrum.c.far.is_(None), *_OF_USABLE_EVENTS)
-    .where(spectrum.c.time_us >= bindparam("since", type_=BigInteger))
-    .where(spectrum.c.time_us < bindparam("until", type_=BigInteger))
-    .order_by(spectrum.c.event)
-)
 
 
 def _joined(statement: Select[Any]) -> Select[Any]:

@@ -135,7 +135,7 @@ class KeptPiece:
     since: Instant
     until: Instant
     lines: Sequence[KeptLines]
-    told: Sequence[Told]
+    told: Sequence[Told] = ()
 
 
 def write_pieces(pieces: Sequence[KeptPiece]) -> dict[str, Any]:

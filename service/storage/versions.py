@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from sqlalchemy import ColumnElement, Connection, Row, and_, func, or_, select
 
+from lbacal.instants import SECOND_US
 from lbacal_core.calibration.spreads import ToldCurve, carry_to_path
 from lbacal_core.curves.covariance import Budget
 from lbacal_core.curves.curves import MISFIT, NONE, STATUSES, Anomalies, CalibrationCurve, parse_anomalies, parse_curve
@@ -20,7 +21,7 @@ from lbacal_core.provenance import canonical_json, hash_content
 from service.errors import NotFoundError
 from service.schema.tables import IS_GATED, budget, calibration, calibration_mean, chain_part, examined, promotion
 from service.storage.models import complete_id
-from service.storage.rows import Store, add_rows, from_row, put_rows, scope_columns, to_row
+from service.storage.rows import Store, add_rows, equal, from_row, put_rows, scope_columns, to_row
 
 # The reference chains of versions: members and L_ref beside the version, cables and spreads once under their hash.
 
@@ -83,15 +84,6 @@ def read_chains(connection: Connection, references: Mapping[str, str | None]) ->
     }
 
 
-def read_cable_changes(connection: Connection) -> dict[str, set[float]]:
-    """When antennas change cables, unix seconds by station, in any table that a version answers with."""
-    found: dict[str, set[float]] = {}
-    for row in connection.execute(select(chain_part)):
-        for station, _, _, *instants in json.loads(row.content).get("antennas", ()):
-            found.setdefault(station, set()).update(instant for instant in instants if instant is not None)
-    return found
-
-
 @lru_cache(PARTS_REMEMBERED)
 def _parse_cables(text: str) -> CableTable:
     return parse_cable_table(json.loads(text))
@@ -116,8 +108,6 @@ BUDGET = "budget"
 """The input that names a budget which was not computed from the version's own spectra and those around them."""
 CURVES_REMEMBERED = 1200
 """Versions whose curves stay in memory: those of all paths of the Superterp in two years, about 40 MB."""
-MICROSECONDS = 1e6
-"""An instant in microseconds over this is in seconds."""
 
 
 @dataclass(frozen=True)
@@ -158,10 +148,6 @@ class Version:
         """The half-open interval whose spectra it was made from."""
         return self.since, self.until
 
-    def with_gate(self, objection: str | None) -> Version:
-        """The same version with the result of the gate."""
-        return replace(self, gate=objection)
-
     @property
     def payload(self) -> list[dict[str, Any]]:
         """The curves as JSON values; `payload_sha256` is the hash of this list as canonical JSON."""
@@ -195,14 +181,14 @@ class Version:
     def cable_of(self, path: Scope, instant: Instant) -> str | None:
         """Name of the cable of a path at an instant, as the version's own chain knows it."""
         chain = self.chains.get(str(path.dipole))
-        seconds = instant / MICROSECONDS
+        seconds = instant / SECOND_US
         return None if chain is None else chain.cables.cable_of(str(path.station), int(str(path.antenna)), seconds)
 
     def tell(self, path: Scope, instant: Instant) -> ToldCurve:
         """The curve as a path is served it, through the cable that the path has at an instant."""
         station, antenna, dipole = str(path.station), int(str(path.antenna)), str(path.dipole)
         return carry_to_path(
-            self.curve_of(dipole), self.chains.get(dipole), station, antenna, dipole, instant / MICROSECONDS
+            self.curve_of(dipole), self.chains.get(dipole), station, antenna, dipole, instant / SECOND_US
         )
 
 
@@ -320,12 +306,9 @@ class VersionStore(Store):
 
     def search(self, scope: Scope | None, status: str | None, cursor: str, limit: int) -> list[Version]:
         """Versions with an id after a cursor, in order of id."""
-        statement = select(calibration).where(calibration.c.id > cursor).order_by(calibration.c.id).limit(limit)
-        if scope is not None:
-            statement = statement.where(calibration.c.scope == scope.key)
-        if status is not None:
-            statement = statement.where(calibration.c.status == status)
-        return self._values(self._connection.execute(statement).all())
+        asked = equal(calibration, scope=None if scope is None else scope.key, status=status)
+        statement = select(calibration).where(calibration.c.id > cursor, *asked)
+        return self._values(self._connection.execute(statement.order_by(calibration.c.id).limit(limit)).all())
 
     def newest(self, scope: Scope, also: Iterable[str]) -> list[Version]:
         """Versions of a scope that no newer one of their window replaced, and others by id, by window."""
@@ -335,8 +318,12 @@ class VersionStore(Store):
         return self._values(self._connection.execute(in_order).all())
 
     def cable_changes(self) -> dict[str, set[float]]:
-        """When antennas change cables, unix seconds by station."""
-        return read_cable_changes(self._connection)
+        """When antennas change cables, unix seconds by station, in any table that a version answers with."""
+        found: dict[str, set[float]] = {}
+        for row in self._connection.execute(select(chain_part)):
+            for station, _, _, *instants in json.loads(row.content).get("antennas", ()):
+                found.setdefault(station, set()).update(instant for instant in instants if instant is not None)
+        return found
 
     def misfits(self) -> dict[tuple[str | None, str, Instant, Instant], list[str]]:
         """Versions that misfit and that no newer one of their window replaced, by station, level and window."""

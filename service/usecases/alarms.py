@@ -10,15 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lbacal.instants import DAY_US, format_instant, parse_instant
+from lbacal.instants import DAY_US, SECOND_US, format_instant, parse_instant
 from lbacal_core.causes.model import Model
 from lbacal_core.curves.curves import OK
 from lbacal_core.curves.validity import Instant, Scope
-from lbacal_core.errors import BadInputError, name_path, write_chance
+from lbacal_core.errors import BadInputError, name_path
 from service.storage.alarms import (
     ACKNOWLEDGED,
     CAUSE_STOPPED_PAYING,
@@ -42,6 +42,10 @@ from service.storage.versions import Version
 from service.usecases.drift import year_of
 from service.usecases.watch import read_changes
 from service.wire.bodies import AcknowledgementBody
+
+if TYPE_CHECKING:
+    from service.usecases.changes import Changes
+    from service.usecases.models import Models
 
 # Named causes that move C: what an investigation found, while the calibrations in effect were made without it.
 #
@@ -129,7 +133,6 @@ def _tell(station: str, subject: str, years: Sequence[_Named]) -> News:
     return News(NAMED_CAUSE, Scope(station), subject, sentence, content, years[0].made.since)
 
 
-SECOND_US = 1_000_000
 LOOKED_FOR = (LOST_PATH, STALE_DATA, MISFIT, NAMED_CAUSE, FAILED_JOB, CAUSE_STOPPED_PAYING)
 FAILURES_SINCE_US = 30 * DAY_US
 FAILURES_READ = 200
@@ -166,15 +169,13 @@ class Alarms:
     database: Database
     clock: Callable[[], Instant]
     stale_days: float
-    stopped: Callable[[], Sequence[News]]
-    """Adopted causes that no longer pay."""
-    not_refitted: Callable[[], Sequence[KeptChange]]
-    """Changes while C in effect is the mean over them."""
+    find_models: Callable[[], Models]
+    changes: Changes
 
     def look(self) -> list[int]:
         """Take in what the database tells; the alarms that are new."""
         now = self.clock()
-        stopped = self.stopped()
+        stopped = self.find_models().stopped()
         with self.database.read() as stores:
             present = [
                 *stopped,
@@ -191,7 +192,7 @@ class Alarms:
         """List alarms, newest first."""
         with self.database.read() as stores:
             found = stores.alarms.newest(asked, self.clock())
-        waiting = self.not_refitted()
+        waiting = self.changes.waiting()
         return [_with_state(one, waiting) for one in found]
 
     def acknowledge(self, number: int, body: AcknowledgementBody, by: str) -> Alarm:
@@ -286,68 +287,3 @@ def describe_failed(job: Job, error: str) -> News:
     subject = " ".join([job.kind, *(f"{name}={value}" for name, value in sorted(work.items()))])
     sentence = f"{job.kind} {named}".strip() + f" failed: {error}"
     return News(FAILED_JOB, Scope(), subject, sentence, {"job": job.number, "kind": job.kind, "request": work})
-
-
-# The night's summary: what an investigation of a station says that the one before did not.
-
-STRONGER_SIGMA = 2.0
-"""A significance that rises by less is no news: it scatters by 1 from one set of events to the next."""
-Key = tuple[Any, ...]
-
-
-@dataclass(frozen=True)
-class StationNews:
-    """The newest investigation of a station, and how it differs from the one before.
-
-    Attributes
-    ----------
-    before
-        The id of the one before: of the same window where there is one, else of the window before; None for the first.
-    new, stronger
-        Sentences about findings that the one before did not have, or that are more significant by `STRONGER_SIGMA`.
-    gone
-        Sentences about findings that only the one before has.
-    """
-
-    newest: Investigation
-    before: str | None
-    new: Sequence[str]
-    stronger: Sequence[str]
-    gone: Sequence[str]
-
-
-def tell_news(newest: Investigation, before: Investigation | None) -> StationNews:
-    """Compare two investigations of a station, finding by finding."""
-    now = _findings(newest.report)
-    then = {} if before is None else _findings(before.report)
-    stronger = []
-    for key, finding in now.items():
-        rise = finding["significance_sigma"] - then[key]["significance_sigma"] if key in then else 0.0
-        if rise >= STRONGER_SIGMA:
-            was, now_is = then[key]["significance_sigma"], finding["significance_sigma"]
-            stronger.append(f"{finding['sentence']} ({was:.1f} -> {now_is:.1f} sigma)")
-    return StationNews(
-        newest,
-        None if before is None else before.id,
-        new=[one["sentence"] for key, one in now.items() if key not in then],
-        stronger=stronger,
-        gone=[one["sentence"] for key, one in then.items() if key not in now],
-    )
-
-
-def _findings(report: Mapping[str, Any]) -> dict[Key, dict[str, Any]]:
-    """Findings of a report by cause and target, counted where one target has two; and the structure without a cause."""
-    found: dict[Key, dict[str, Any]] = {}
-    for finding in report["findings"]:
-        where = finding["where"]
-        key = (finding["cause"], *where["antennas"], *where["dipoles"])
-        found[(*key, sum(other[:-1] == key for other in found))] = finding
-    rest = report["unexplained"]
-    if rest is not None:
-        where = rest["where"]
-        sentence = f"{rest['description']} ({write_chance(rest['p_value'])})"
-        # where all paths show it together, the one that shows most changes from one set of events to the next
-        target = "paths" if rest.get("paths") else where["target"]
-        # its significance stays out of the comparison: the p-value of a simulated distribution has a floor
-        found["unexplained", where["axis"], target, 0] = {"sentence": sentence, "significance_sigma": 0.0}
-    return found

@@ -39,23 +39,16 @@ class BadPath:
     source: str
 
 
-@dataclass(frozen=True)
-class BadAntennas:
-    """Reads alarms, investigations and changes."""
-
-    database: Database
-    instrument: Instrument
-
-    def at(self, instant: Instant, station: str | None) -> list[BadPath]:
-        """The bad paths of a station, or of all, in order of path; one row a reason."""
-        paths = select_paths(self.instrument, station, None, None)
-        with self.database.read() as stores:
-            alarms = stores.alarms.newest(AlarmsAsked(STATES, MOST, kind=LOST_PATH, station=station), instant)
-            made = stores.investigations.newest_covering(instant, station)
-            changes = stores.changes.kept(station)
-        found = [*_silent(alarms, paths, instant), *_insensitive(made), *_weak(changes, paths, instant)]
-        order = {path: number for number, path in enumerate(paths)}
-        return sorted((one for one in found if one.path in order), key=lambda one: (order[one.path], one.kind))
+def list_bad(database: Database, instrument: Instrument, instant: Instant, station: str | None) -> list[BadPath]:
+    """The bad paths of a station, or of all, in order of path; one row a reason."""
+    paths = select_paths(instrument, station, None, None)
+    with database.read() as stores:
+        alarms = stores.alarms.newest(AlarmsAsked(STATES, MOST, kind=LOST_PATH, station=station), instant)
+        made = stores.investigations.newest_covering(instant, station)
+        changes = stores.changes.kept(station)
+    found = [*_silent(alarms, paths, instant), *_insensitive(made), *_weak(changes, paths, instant)]
+    order = {path: number for number, path in enumerate(paths)}
+    return sorted((one for one in found if one.path in order), key=lambda one: (order[one.path], one.kind))
 
 
 def _silent(alarms: Sequence[Alarm], paths: Sequence[Scope], instant: Instant) -> Iterator[BadPath]:

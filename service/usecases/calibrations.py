@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
-from lbacal.instants import format_instant
+from lbacal.instants import SECOND_US, format_instant
 from lbacal_core.calibration.spreads import ToldCurve, tell_reference
 from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.curves.validity import Instant, Promotion, Scope
@@ -18,9 +17,8 @@ from service.errors import NotInEffectError
 from service.storage.changes import Epoch, KeptChange, concerns, split_epochs
 from service.storage.database import Database
 from service.storage.ledger import Neighbours
-from service.storage.versions import MICROSECONDS, Examined, Version
+from service.storage.versions import Version
 
-PROMOTIONS_SHOWN = 100
 VERSIONS_REMEMBERED = 1200
 """Versions, and curves as texts, that stay in memory: those of all paths of the Superterp in two years, 40 MB."""
 BUDGETS_REMEMBERED = 100
@@ -159,24 +157,24 @@ class Calibrations:
         if len(answers) < len(paths) and (hold or not answers):
             asked, answers, held = self._look_around(at, paths, as_of, hold=hold)
         names = (str(promotion.calibration) for promotion in answers.values())
-        versions = self.versions.get_many(names, self._load_versions)
+        versions = self.versions.get_many(names, lambda ids: self.database.look(lambda s: s.versions.get_many(ids)))
         named = (name for version in versions.values() for name in version.budgets)
-        budgets = self.budgets.get_many(named, self._load_budgets)
-        curves = [
-            curve
-            for path in paths
-            if (promotion := answers.get(path)) is not None
-            for curve in _list_curves(
-                versions[str(promotion.calibration)],
-                path,
-                at,
-                promotion,
-                tuple(asked[path]),
-                _find_change(promotion, of_antenna),
-                _find_epoch(path, at, of_antenna),
-                is_held=path in held,
-            )
-        ]
+        budgets = self.budgets.get_many(named, lambda ids: self.database.look(lambda s: s.budgets.get_texts(ids)))
+
+        def list_curves(path: Scope, promotion: Promotion) -> Iterator[CurveInEffect]:
+            """The curve that a path is served; of an array that was asked for by itself, those of its chains."""
+            version, trace, is_held = versions[str(promotion.calibration)], tuple(asked[path]), path in held
+            changed, epoch = _find_change(promotion, of_antenna), _find_epoch(path, at, of_antenna)
+            told = promotion, is_held, trace
+            if path.antenna is None:
+                for curve in version.curves:
+                    yield CurveInEffect(path, curve.dipole, *told, None, None, None, epoch, version, at)
+                return
+            cable = version.cable_of(path, at)
+            unknown = at if cable is None and str(path.dipole) in version.chains else None
+            yield CurveInEffect(path, path.dipole, *told, cable, unknown, changed, epoch, version, at)
+
+        curves = [curve for path in paths if path in answers for curve in list_curves(path, answers[path])]
         return InEffect(at, curves, [path for path in paths if path not in answers], budgets)
 
     def _look_around(
@@ -188,20 +186,13 @@ class Calibrations:
             decisive = _pick_decisive(asked)
             missing = [path for path in paths if path not in decisive]
             # without `hold` the sentence names the neighbours of one path only
-            found = stores.ledger.neighbours(missing if hold else missing[:1], at, as_of)
+            told = missing if hold else missing[:1]
+            found = stores.ledger.neighbours({path: path.widening for path in told}, at, as_of)
         near = {path: _nearest(found[path], at) for path in missing} if hold else {}
         held = {path: promotion for path, promotion in near.items() if promotion is not None}
         if missing and not decisive and not held:
             raise NotInEffectError(_explain_gap(missing, found[missing[0]], at))
         return asked, decisive | held, held
-
-    def _load_versions(self, names: Sequence[str]) -> Mapping[str, Version]:
-        with self.database.read() as stores:
-            return stores.versions.get_many(names)
-
-    def _load_budgets(self, names: Sequence[str]) -> Mapping[str, str]:
-        with self.database.read() as stores:
-            return stores.budgets.get_texts(names)
 
     def write(
         self, curves: Iterable[CurveInEffect], write: Callable[[CurveInEffect], WrittenCurve]
@@ -222,57 +213,9 @@ class Calibrations:
         everywhere = edges.get(None, set())
         found: dict[str | None, list[Instant]] = {None: sorted(everywhere)}
         for station in sorted({record.station for record in self.instrument.antennas}):
-            changes = {math.ceil(seconds * MICROSECONDS) for seconds in cables.get(station, ())}
+            changes = {math.ceil(seconds * SECOND_US) for seconds in cables.get(station, ())}
             found[station] = sorted(everywhere | edges.get(station, set()) | changes)
         return found
-
-    def budget(self, digest: str) -> dict[str, Any]:
-        """The systematic terms that curves share, as JSON values."""
-        with self.database.read() as stores:
-            return stores.budgets.get(digest)
-
-    def get(self, version_id: str) -> Version:
-        """Get a version by its id."""
-        with self.database.read() as stores:
-            return stores.versions.get(version_id)
-
-    def get_with_promotions(self, version_id: str) -> tuple[Version, list[Promotion], Examined | None]:
-        """A version, its newest promotions, at most `PROMOTIONS_SHOWN`, and the fit that confirmed it last."""
-        with self.database.read() as stores:
-            version = stores.versions.get(version_id)
-            promotions = stores.ledger.of_calibration(version.id, PROMOTIONS_SHOWN)
-            return version, promotions, stores.versions.confirmation(version.id)
-
-    def pair(self, first: str, second: str) -> tuple[Version, Version]:
-        """Two versions, to be compared."""
-        with self.database.read() as stores:
-            return stores.versions.get(first), stores.versions.get(second)
-
-    def search(self, scope: Scope | None, status: str | None, cursor: str, limit: int) -> list[Version]:
-        """Versions in order of id, after a cursor."""
-        with self.database.read() as stores:
-            return stores.versions.search(scope, status, cursor, limit)
-
-
-def _list_curves(
-    version: Version,
-    asked: Scope,
-    at: Instant,
-    promotion: Promotion,
-    trace: tuple[Promotion, ...],
-    changed: str | None,
-    epoch: Epoch,
-    *,
-    is_held: bool,
-) -> Iterator[CurveInEffect]:
-    """The curve that a path is served; of an array that was asked for by itself, those of its reference chains."""
-    if asked.antenna is None:
-        for curve in version.curves:
-            yield CurveInEffect(asked, curve.dipole, promotion, is_held, trace, None, None, None, epoch, version, at)
-        return
-    cable = version.cable_of(asked, at)
-    unknown = at if cable is None and str(asked.dipole) in version.chains else None
-    yield CurveInEffect(asked, asked.dipole, promotion, is_held, trace, cable, unknown, changed, epoch, version, at)
 
 
 _ByAntenna = Mapping[tuple[str | None, int | None], Sequence[KeptChange]]

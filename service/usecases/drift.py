@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lbacal.instants import format_instant, parse_instant
+from lbacal.instants import SECOND_US, format_instant, parse_instant
 from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.curves.validity import Instant, Promotion, Scope, timeline
 from lbacal_core.drift.model import SLOPE, smooth_columns
@@ -167,25 +167,35 @@ LEAST_CABLES = 0.001
 
 
 @dataclass(frozen=True)
-class Story:
-    """How a version stands beside the first of its polarisation.
+class VersionPoint:
+    """How a version stands beside the first of its scope and polarisation.
 
     Attributes
     ----------
-    change
-        Change of the mean of C over the band through one and the same cable, a fraction.
-    words
-        What else is another.
+    change, sigma
+        Change of the mean of C over the band through one and the same cable, a fraction, with the error of both; 0 of
+        the first itself.
+    why
+        What else is another, in words.
     """
 
+    mean: MeanC
     change: float
-    words: str
+    sigma: float
+    why: str
 
-
-def tell_story(version: Version, first: Version, dipole: str) -> Story:
-    """Compare a version with the first of its polarisation."""
-    change = find_change_of_mean(version, first, dipole)
-    return Story(change or 0.0, explain_version(version, first, dipole))
+    @classmethod
+    def of(cls, means: Sequence[MeanC], versions: Mapping[str, Version]) -> list[VersionPoint]:
+        """The versions of a scope, in order of polarisation and time."""
+        points, first = [], dict[str, MeanC]()
+        for mean in sorted(means, key=lambda one: (one.dipole, one.since, one.calibration)):
+            before = first.setdefault(mean.dipole, mean)
+            now, then = (versions[one.calibration] for one in (mean, before))
+            change = find_change_of_mean(now, then, mean.dipole) or 0.0
+            sigma = (1.0 + change) * math.hypot(mean.c_sigma / mean.c, before.c_sigma / before.c)
+            is_first = mean.calibration == before.calibration
+            points.append(cls(mean, change, 0.0 if is_first else sigma, explain_version(now, then, mean.dipole)))
+        return points
 
 
 def explain_version(version: Version, first: Version, dipole: str) -> str:
@@ -214,7 +224,6 @@ def _tell_cables(before: ReferenceChain, now: ReferenceChain) -> str:
     return "" if abs(change) < LEAST_CABLES else f", whose cables change C by {write_percent(change, 1)}"
 
 
-SECOND_US = 1_000_000
 HALF_A_MONTH_S = 15 * 86_400.0
 
 
@@ -260,11 +269,6 @@ class Drift:
     shown: Remembered[str, Any]
     """What the page of the drift shows."""
 
-    def matrix(self, station: str) -> list[str]:
-        """Every path of a station beside its median, one JSON text a year."""
-        with self.database.read() as stores:
-            return [str(year.matrix) for year in stores.drift.years([station])]
-
     def means_of_paths(self, station: str) -> list[MeanC]:
         """Band means of C of the newest versions in effect of a station's paths, path by path."""
         paths = select_paths(self.instrument, station, None, None)
@@ -292,18 +296,11 @@ class Drift:
             array, *stations = _gather(stores, scopes, stores.drift.report())
         return array, stations
 
-    def stories(self, series: Sequence[DriftSeries]) -> dict[tuple[str, str], Story]:
-        """How and why each version of some scopes differs from the first, by version and polarisation."""
+    def points(self, series: DriftSeries) -> list[VersionPoint]:
+        """The versions of a scope, each beside the first of its polarisation."""
         with self.database.read() as stores:
-            versions = stores.versions.get_many({mean.calibration for one in series for mean in one.versions})
-        told: dict[tuple[str, str], Story] = {}
-        for one in series:
-            first: dict[str, Version] = {}
-            for mean in sorted(one.versions, key=lambda mean: (mean.since, mean.calibration)):
-                version = versions[mean.calibration]
-                before = first.setdefault(mean.dipole, version)
-                told[mean.calibration, mean.dipole] = tell_story(version, before, mean.dipole)
-        return told
+            versions = stores.versions.get_many(mean.calibration for mean in series.versions)
+        return VersionPoint.of(series.versions, versions)
 
     def state(self) -> str:
         """Names what the drift is told from: the months, what the watch found in them, and what is in effect."""

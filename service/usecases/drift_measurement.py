@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from lbacal.instants import SECOND_US
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.drift.events import EventModes, add_events, average_months, measure_event_modes
@@ -20,7 +21,7 @@ from service.storage.drift import NUMBERS, PathMonths
 from service.storage.jobs import Part
 from service.storage.spectra import Window
 from service.storage.sums import DRIFT, Sums
-from service.usecases.drift import SECOND_US, find_years, keep_months
+from service.usecases.drift import find_years, keep_months
 from service.usecases.fits import Fits, Later, read_block
 
 KIND = DRIFT

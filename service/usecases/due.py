@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from lbacal.instants import DAY_US, format_instant
+from lbacal.instants import DAY_US, SECOND_US, format_instant
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import name_path
 from lbacal_core.provenance import hash_content
@@ -40,7 +40,6 @@ from service.usecases.refits import KIND as REFIT
 from service.usecases.refits import describe_part
 from service.usecases.watch import KIND as WATCH
 from service.usecases.watch import Watch
-from service.usecases.windows import SECOND_US
 
 BY = "scheduler"
 FORM = "sums"
@@ -96,18 +95,13 @@ class DueWork:
         """
         if part.kind == DRIFT:
             return self.enqueue_watch()
-        jobs = self.enqueue_drift(part.request["station"]) if part.request.get("scope") == "antenna" else []
-        if part.kind in (WATCH, REFIT):
-            with self.database.read() as stores:
-                due = [] if stores.jobs.is_open(REFIT) else self._refits(stores)
-                orders = [one for one in due if _is_changed(one) or stores.jobs.called_for(one) is not None]
-            jobs += self._add(orders)
-        return jobs
-
-    def enqueue_drift(self, station: str) -> list[int]:
-        """Enqueue the drift of a station, whose versions changed."""
+        orders = list[Order]()
         with self.database.read() as stores:
-            orders = list(self._drift(stores, [station]))
+            if part.request.get("scope") == "antenna":
+                orders += self._drift(stores, [part.request["station"]])
+            if part.kind in (WATCH, REFIT) and not stores.jobs.is_open(REFIT):
+                due = self._refits(stores)
+                orders += [one for one in due if _is_changed(one) or stores.jobs.called_for(one) is not None]
         return self._add(orders)
 
     def enqueue_watch(self) -> list[int]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from lbacal.instants import format_instant
+from lbacal.instants import SECOND_US, format_instant
 from lbacal_core.audit.audit import QuickAudit, audit_quickly
 from lbacal_core.calibration.budget import add_budget, compute_budget
 from lbacal_core.calibration.continued import Continued, continue_fit
@@ -44,8 +44,6 @@ from service.usecases.drift import year_of
 from service.usecases.orders import hash_covariates
 from service.usecases.windows import (
     ALONE,
-    SECOND_US,
-    KeptWindow,
     Neighbours,
     name_beside,
     name_windows,
@@ -110,13 +108,12 @@ class Wanted:
 class Made:
     """The versions of a fit, one for every scope, and the budgets that their curves name, by hash.
 
-    `lines` are those of each piece of the window, [since, until), with which later events can continue the fit, and
-    other windows be fitted.
+    With the lines of the `pieces` of the window later events can continue the fit, and other windows be fitted.
     """
 
     versions: list[Version]
     budgets: Mapping[str, Budget]
-    lines: Sequence[tuple[Instant, Instant, Sequence[KeptLines]]] = ()
+    pieces: Sequence[KeptPiece] = ()
 
 
 @dataclass(frozen=True)
@@ -163,8 +160,7 @@ class Fits:
     def find_neighbours(self, stores: Stores, wanted: Wanted) -> Neighbours:
         """The calendar years beside a window of which lines are kept that a fit would make again."""
         of = Scope(wanted.of.station)
-        pieces = self._find_pieces(stores, wanted.scope, of, wanted.since, wanted.until)
-        found = [KeptWindow(piece.since, piece.until, piece.lines) for piece in pieces]
+        found = list(self._find_pieces(stores, wanted.scope, of, wanted.since, wanted.until))
         changes: dict[tuple[str, int | None], list[Instant]] = {}
         behind: dict[Owner, tuple[Floats, str]] = {}
         for station in {one.station for one in wanted.taken_out}:
@@ -238,12 +234,12 @@ class Fits:
                     continue
                 inputs = hash_content([told.calibration, *names, name_windows(told.scope, beside)])
                 examined.append(Examined(told.scope, piece.since, piece.until, inputs, told.calibration, shift, made))
-            neighbours = neighbours.and_also(KeptWindow(piece.since, piece.until, piece.lines))
+            neighbours = neighbours.and_also(piece)
         is_whole = len(pieces) == 1 and all(scope.antenna is not None for scope in rest)
         is_few = not rest or (is_whole and len(rest) <= LARGEST_REST * (len(rest) + len(examined)))
         return Outcome(examined, rest) if np.all(seen) and is_few else None
 
-    def fit_causes(self, spectra: Spectra, model: Model, *, are_sizes_known: bool = False) -> FittedCauses:
+    def fit_causes(self, spectra: Spectra, model: Model) -> FittedCauses:
         """Fit the sizes of the adopted causes to all spectra of their stations, where these are enough for any fit.
 
         The last fit of a station's causes stays in memory: the next part is another scope of the same spectra.
@@ -253,22 +249,11 @@ class Fits:
 
         def fit() -> FittedCauses:
             simulation = self.simulation.with_causes(enough).smeared(spectra)
-            return fit_causes(spectra, simulation, are_sizes_known=are_sizes_known)
+            return fit_causes(spectra, simulation)
 
         if len(stations) != 1:
             return fit()
-        return self.fitted.get((spectra.digest(), hash_covariates(spectra), enough.id, are_sizes_known), fit)
-
-    def foresee(
-        self, whole: FittedCauses, wanted: Wanted, before: Sequence[Version], budget: Budget, neighbours: Neighbours
-    ) -> list[Version]:
-        """The versions that `make` will make with a cause more, from those before, whose budget their errors have.
-
-        Chain and statistical error are those of a fit. The budget is not computed again, and what the error of the
-        size does to C is taken in proportion to what the size does.
-        """
-        pieces = self._fit_pieces(whole, wanted, neighbours, budget, before)
-        return [version for versions, *_ in pieces for version in versions]
+        return self.fitted.get((spectra.digest(), hash_covariates(spectra), enough.id), fit)
 
     def make(
         self, whole: FittedCauses, wanted: Wanted, neighbours: Neighbours = ALONE, budget: Budget | None = None
@@ -286,12 +271,11 @@ class Fits:
             versions = [replace(one, inputs={**one.inputs, BUDGET: budget.digest}) for one in versions]
         budgets = {name: one for _, report, _ in pieces for name, one in report.budgets.items()}
         good = {(one.window, curve.path) for one in versions for curve in one.curves if curve.status == CONVERGED}
-        lines = []
+        kept = []
         for _, report, during in pieces:
-            since, until = during.since, during.until
-            of_piece = {owner for window, owner in good if window == (since, until)}
-            lines += [(since, until, [one.lend(of_piece) for one in report.lines])]
-        return Made(versions, budgets, [one for one in lines if one[2]])
+            of_piece = {owner for window, owner in good if window == (during.since, during.until)}
+            kept.append(KeptPiece(during.since, during.until, [one.lend(of_piece) for one in report.lines]))
+        return Made(versions, budgets, [one for one in kept if one.lines])
 
     def _fit_pieces(
         self,
@@ -299,7 +283,6 @@ class Fits:
         wanted: Wanted,
         neighbours: Neighbours,
         budget: Budget | None,
-        before: Sequence[Version] = (),
     ) -> Iterator[tuple[list[Version], FitReport, Wanted]]:
         """Fit the pieces of a window, that with the most spectra first: it has the budget of all, and may lend."""
         made, named, instrument = self.clock(), _name_sizes(whole, wanted, neighbours), self.simulation.instrument
@@ -313,9 +296,8 @@ class Fits:
                 budget = self._budget(of_piece)
                 neighbours = neighbours if budget.polarisations else ALONE
             beside = neighbours.beside(during.since, during.until)
-            plain = [curve for one in before if one.window == (during.since, during.until) for curve in one.curves]
-            report = add_budget(of_piece.fit(wanted.scope, plain, [one for _, one in beside]), budget)
-            neighbours = neighbours.and_also(KeptWindow(during.since, during.until, report.lines))
+            report = add_budget(of_piece.fit(wanted.scope, beside=[one for _, one in beside]), budget)
+            neighbours = neighbours.and_also(KeptPiece(during.since, during.until, report.lines))
             yield _versions(recorded, report, during, made, named, beside, instrument), report, during
 
     def _require_power(self, fitted: FittedCauses, wanted: Wanted) -> None:
@@ -386,7 +368,7 @@ def _versions(
     wanted: Wanted,
     made: Instant,
     named: Mapping[str, str],
-    beside: Sequence[tuple[KeptWindow, Beside]],
+    beside: Sequence[tuple[KeptPiece, Beside]],
     instrument: Instrument,
 ) -> list[Version]:
     """The versions of a report, each by its own inputs; all of them share those `named`."""
@@ -529,10 +511,10 @@ def is_still_told(stores: Stores, pieces: Sequence[KeptPiece]) -> bool:
 
 def keep_fit(stores: Stores, block: Sums, made: Made, told: Mapping[TellKey, Told]) -> None:
     """Keep a fit in its block, where the chain alone was fitted."""
-    if made.lines:
+    if made.pieces:
         pieces = [
-            KeptPiece(since, until, lines, [told[scope, since, until] for scope in _list_scopes(lines)])
-            for since, until, lines in made.lines
+            replace(one, told=[told[scope, one.since, one.until] for scope in _list_scopes(one.lines)])
+            for one in made.pieces
         ]
         stores.sums.put(replace(block, arrays=write_pieces(pieces)))
 

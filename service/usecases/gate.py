@@ -34,14 +34,14 @@ from service.storage.versions import BESIDE, BUDGET, Version, mean_over_band
 class CurveChange:
     """Change of C from one curve to another, shape (freq,): as a fraction, and in standard deviations of both.
 
-    NaN in a channel in which one of them has no value. `means` are those of C over the channels that both have, before
+    NaN in a channel in which one of them has no value. `mean_c` are those of C over the channels that both have, before
     and after, V per ADC unit.
     """
 
     frequency_mhz: Floats
     fraction: Floats
     sigma: Floats
-    means: tuple[float, float]
+    mean_c: tuple[float, float]
 
     @property
     def max_fraction(self) -> float:
@@ -350,7 +350,7 @@ def find_predecessors(ledger: LedgerStore, scopes: Collection[Scope], middle: In
         if promotion.calibration is not None
     }
     silent = [scope for scope in scopes if scope not in found]
-    for scope, (before, after) in ledger.neighbours_of_scopes(silent, middle, None).items():
+    for scope, (before, after) in ledger.neighbours({scope: (scope,) for scope in silent}, middle, None).items():
         nearest = before or after
         if nearest is not None:
             found[scope] = str(nearest.promotion.calibration)

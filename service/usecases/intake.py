@@ -20,7 +20,7 @@ from lbacal_core.spectra.screening import FAR, find_lasting, measure_level
 from lbacal_core.spectra.spectra import Spectra
 from service.errors import ConflictError
 from service.storage.database import Database, Stores
-from service.storage.spectra import EVENT_SPAN_US, EventsAsked, StoredEvent
+from service.storage.spectra import EVENT_SPAN_US, StoredEvent
 from service.wire.bodies import LONGEST_NAME, MAX_SPECTRA, SpectraBody, SpectrumBody, parse_body
 from service.wire.hdf5_body import FileReader
 
@@ -85,16 +85,13 @@ class Intake:
     def receive(self, content: bytes, *, is_file: bool) -> Receipt:
         """Store a body, a spectra file or JSON, whole or not at all; one that was stored before is not even read."""
         digest = hashlib.sha256(content).hexdigest()
-        if digest in (known := self.find_receipts([digest])):
+        known = self.database.ask(lambda stores: stores.spectra.arrivals.find_receipts([digest]))
+        if digest in known:
             received, warnings = known[digest]
             return Receipt(received, 0, warnings)
         if is_file:
             return self.store(self.files.read(content), digest=digest)
         return self._store_json(parse_body(SpectraBody, content), digest)
-
-    def find_receipts(self, digests: Sequence[str]) -> dict[str, tuple[int, list[str]]]:
-        """How many spectra bodies hold that were stored whole before, and the warnings, by SHA-256."""
-        return self.database.ask(lambda stores: stores.spectra.arrivals.find_receipts(digests))
 
     def _store_json(self, body: SpectraBody, digest: str) -> Receipt:
         require_same_grid(
@@ -166,11 +163,6 @@ class Intake:
                 expected = f"a time at which {station} antenna {antenna} is on record"
                 found = format_instant(round(time * 1e6))
                 raise BadInputError(name_place("time_unix", k), expected, found)
-
-    def events(self, asked: EventsAsked) -> list[StoredEvent]:
-        """Stored events in order of arrival."""
-        with self.database.read() as stores:
-            return stores.spectra.events(asked)
 
     def set_flag(self, event_id: str, flag: str | None, *, reason: str, by: str) -> StoredEvent:
         """Set or clear a quality flag; a flagged event is left out of fits."""

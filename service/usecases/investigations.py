@@ -14,22 +14,22 @@ from lbacal_core.calibration.singles import MIN_EVENTS
 from lbacal_core.calibration.windows import leave_out_changed
 from lbacal_core.causes.model import Model
 from lbacal_core.curves.validity import Instant, Scope
-from lbacal_core.data.judges import DEFAULT_JUDGE, Judge
 from lbacal_core.discovery.policy import Policy
+from lbacal_core.errors import write_chance
 from lbacal_core.provenance import hash_content
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.spectra import Spectra
+from service.config import Settings
 from service.errors import ConflictError
 from service.storage.database import Database, Stores
 from service.storage.jobs import Order, Part
 from service.storage.models import Investigation
 from service.storage.spectra import Window
-from service.usecases.alarms import StationNews, tell_news
 from service.usecases.calibrations import select_paths
 from service.usecases.changes import propose
 from service.usecases.drift import find_years, split_years
 from service.usecases.fits import Fits
-from service.usecases.orders import Limits, hash_covariates, name_inputs, place_order, read_window
+from service.usecases.orders import hash_covariates, name_inputs, place_order, read_window
 from service.wire.bodies import InvestigationBody
 
 KIND = "investigation"
@@ -42,9 +42,8 @@ class Investigations:
     database: Database
     simulation: Simulation
     fits: Fits
-    limits: Limits
+    settings: Settings
     clock: Callable[[], Instant]
-    judge: Judge = DEFAULT_JUDGE
 
     def request(self, body: InvestigationBody, by: str) -> int:
         """Enqueue one part a station and calendar year that hold spectra in the window."""
@@ -63,7 +62,7 @@ class Investigations:
             if not parts:
                 raise ConflictError("no usable spectra are stored in this window: ingest some, or ask for another one")
             order = Order(KIND, body.model_dump(), parts, body.reason, by, inputs=inputs)
-            return place_order(stores, order, self.limits, self.clock)
+            return place_order(stores, order, self.settings.max_open_parts, self.clock)
 
     def due(self, stores: Stores) -> Iterator[tuple[dict[str, Any], list[Any]]]:
         """The parts that the stored spectra call for, each with what besides the inputs of fits would change it.
@@ -113,21 +112,11 @@ class Investigations:
         from lbacal_core.discovery.report import investigate  # a second to import, and only workers need it
 
         known = self.simulation.with_causes(model).smeared(spectra)
-        return add_left_open(*investigate(spectra, known, judge=self.judge))
+        return add_left_open(*investigate(spectra, known, judge=self.settings.judge))
 
     @property
     def _policy(self) -> Policy:
-        return Policy(judge=self.judge)
-
-    def get(self, name: str) -> Investigation:
-        """One investigation, by its id or by as many of its first digits as no other begins with."""
-        with self.database.read() as stores:
-            return stores.investigations.get(name)
-
-    def newest(self, *, before: str | None, station: str | None, limit: int) -> Sequence[Investigation]:
-        """List investigations, newest first."""
-        with self.database.read() as stores:
-            return stores.investigations.newest(before=before, station=station, limit=limit)
+        return Policy(judge=self.settings.judge)
 
     def news(self) -> list[StationNews]:
         """The newest investigation of every station against the one before."""
@@ -139,3 +128,68 @@ class Investigations:
 def describe_part(station: str, since: Instant, until: Instant) -> dict[str, Any]:
     """A part of an investigation as JSON: whose spectra, and when they were taken."""
     return {"station": station, "since": since, "until": until}
+
+
+# The night's summary: what an investigation of a station says that the one before did not.
+
+STRONGER_SIGMA = 2.0
+"""A significance that rises by less is no news: it scatters by 1 from one set of events to the next."""
+Key = tuple[Any, ...]
+
+
+@dataclass(frozen=True)
+class StationNews:
+    """The newest investigation of a station, and how it differs from the one before.
+
+    Attributes
+    ----------
+    before
+        The id of the one before: of the same window where there is one, else of the window before; None for the first.
+    new, stronger
+        Sentences about findings that the one before did not have, or that are more significant by `STRONGER_SIGMA`.
+    gone
+        Sentences about findings that only the one before has.
+    """
+
+    newest: Investigation
+    before: str | None
+    new: Sequence[str]
+    stronger: Sequence[str]
+    gone: Sequence[str]
+
+
+def tell_news(newest: Investigation, before: Investigation | None) -> StationNews:
+    """Compare two investigations of a station, finding by finding."""
+    now = _findings(newest.report)
+    then = {} if before is None else _findings(before.report)
+    stronger = []
+    for key, finding in now.items():
+        rise = finding["significance_sigma"] - then[key]["significance_sigma"] if key in then else 0.0
+        if rise >= STRONGER_SIGMA:
+            was, now_is = then[key]["significance_sigma"], finding["significance_sigma"]
+            stronger.append(f"{finding['sentence']} ({was:.1f} -> {now_is:.1f} sigma)")
+    return StationNews(
+        newest,
+        None if before is None else before.id,
+        new=[one["sentence"] for key, one in now.items() if key not in then],
+        stronger=stronger,
+        gone=[one["sentence"] for key, one in then.items() if key not in now],
+    )
+
+
+def _findings(report: Mapping[str, Any]) -> dict[Key, dict[str, Any]]:
+    """Findings of a report by cause and target, counted where one target has two; and the structure without a cause."""
+    found: dict[Key, dict[str, Any]] = {}
+    for finding in report["findings"]:
+        where = finding["where"]
+        key = (finding["cause"], *where["antennas"], *where["dipoles"])
+        found[(*key, sum(other[:-1] == key for other in found))] = finding
+    rest = report["unexplained"]
+    if rest is not None:
+        where = rest["where"]
+        sentence = f"{rest['description']} ({write_chance(rest['p_value'])})"
+        # where all paths show it together, the one that shows most changes from one set of events to the next
+        target = "paths" if rest.get("paths") else where["target"]
+        # its significance stays out of the comparison: the p-value of a simulated distribution has a floor
+        found["unexplained", where["axis"], target, 0] = {"sentence": sentence, "significance_sigma": 0.0}
+    return found

@@ -55,11 +55,6 @@ class Keys:
         with self.database.write() as stores:
             return stores.keys.add(_sha256(text), scopes, created=now, expires=expires, name=name), text
 
-    def list(self) -> list[Key]:
-        """List all keys, without their texts."""
-        with self.database.read() as stores:
-            return stores.keys.all()
-
     def revoke(self, number: int) -> None:
         """Close a key for good."""
         with self.database.write() as stores:

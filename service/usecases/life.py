@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from lbacal_core.curves.validity import Instant, Scope, Stretch, timeline
-from lbacal_core.grids import Floats
+from lbacal_core.curves.validity import Scope, Stretch, timeline
 from lbacal_core.instrument.instrument import Instrument
 from service.storage.alarms import STATES, Alarm, AlarmsAsked
 from service.storage.changes import Epoch, KeptChange, concerns, split_epochs
@@ -45,11 +44,6 @@ class Lives:
     changes: Changes
     models: Models
     alarms: Alarms
-
-    def environment(self, since: Instant, until: Instant) -> dict[str, list[tuple[Instant, Floats]]]:
-        """Covariates of a time, by name and month."""
-        with self.database.read() as stores:
-            return stores.spectra.covariates_by_month(since, until)
 
     def of(self, station: str | None, antenna: int | None = None, dipole: str | None = None) -> Life:
         """The life of a path, of a station, or of the array."""

@@ -13,17 +13,16 @@ from threadpoolctl import threadpool_limits
 
 from lbacal.instants import format_instant, parse_instant
 from lbacal_core.causes.model import UNEXPLAINED, AdoptedCause, Model
-from lbacal_core.curves.covariance import Budget, parse_budget
+from lbacal_core.curves.covariance import Budget
 from lbacal_core.curves.validity import Instant, Promotion, Scope, timeline
 from lbacal_core.errors import BadInputError
-from lbacal_core.provenance import Remembered, canonical_json, hash_content
+from lbacal_core.provenance import Remembered, hash_content
 from lbacal_core.spectra.spectra import Spectra
 from service.errors import ConflictError
 from service.storage.alarms import CAUSE_STOPPED_PAYING, News
 from service.storage.database import Database, Stores
 from service.storage.models import ADOPTED, WITHDRAWN, Announced, Gain, Investigation, ModelChange
 from service.storage.spectra import Window
-from service.storage.sums import read_pieces
 from service.storage.versions import Version, mean_over_band
 from service.usecases.calibrations import select_paths
 from service.usecases.drift import year_of
@@ -33,7 +32,7 @@ from service.wire.bodies import AdoptionBody, ReasonBody
 
 if TYPE_CHECKING:
     from service.usecases.due import DueWork
-    from service.usecases.fits import Fits, Wanted
+    from service.usecases.fits import Fits, Made, Wanted
     from service.usecases.windows import Neighbours
 
 SCOPES = ("antenna", "station")
@@ -53,14 +52,6 @@ class Adoption:
     before: Model
     cause: AdoptedCause
     changes: Sequence[Change]
-
-
-@dataclass(frozen=True)
-class _Kept:
-    """Versions of a scope that were made before, and the budget of their errors."""
-
-    versions: list[Version]
-    budget: Budget
 
 
 @dataclass(frozen=True)
@@ -117,21 +108,24 @@ class Models:
             changed = tuple(stores.changes.cuts(made.station, until=window[1]))
             of_window = [one.during(*(edge / 1e6 for edge in window)) for one in (before, model)]
             wanted = [
-                Wanted(scope, Scope(made.station), *window, one, by, body.reason, changed)
-                for scope in SCOPES
+                [Wanted(scope, Scope(made.station), *window, one, by, body.reason, changed) for scope in SCOPES]
                 for one in of_window
             ]
             # with its covariates, which fits without causes do not look at
-            spectra = self.fits.load(stores, wanted[1])
-            is_alone = body.finding == 0 and len(made.report["findings"]) == 1
-            kept = self._read_kept(stores, wanted[::2]) if is_alone else None
-            neighbours = [self.fits.find_neighbours(stores, one) for one in wanted[1::2]]
+            spectra = self.fits.load(stores, wanted[1][0])
+            neighbours = [self.fits.find_neighbours(stores, one) for one in wanted[1]]
         with threadpool_limits(1):
-            foreseen = None if kept is None else self._foresee(spectra, kept, wanted[1::2], neighbours)
-            fitted = foreseen or self._fit_both(spectra, wanted, neighbours)
-        announced = {key: one for k in (0, 2) for key, one in _announce(fitted[k], fitted[k + 1])}
+            after = self._fit(spectra, wanted[1], neighbours)
+            # what the year is compared with needs no budget of its own
+            shared = next(iter(after[0].budgets.values()))
+            before_it = self._fit(spectra, wanted[0], neighbours, shared)
+        announced = {
+            key: one
+            for old, new in zip(before_it, after, strict=True)
+            for key, one in _announce(old.versions, new.versions)
+        }
         with self.database.read() as stores:
-            changes = self.promotions.foresee(stores, fitted[1], by, body.reason)
+            changes = self.promotions.foresee(stores, after[0].versions, by, body.reason)
         is_named = body.finding != UNEXPLAINED
         finding = made.report["findings"][body.finding] if is_named else made.report["unexplained"]
         # a report gives its newest event to the second
@@ -144,52 +138,16 @@ class Models:
         )  # fmt: skip
         return Adoption(change, model, before, cause, changes)
 
-    def _read_kept(self, stores: Stores, wanted: Sequence[Wanted]) -> list[_Kept] | None:
-        """The versions of the last whole fits of a window by the chain alone, in effect or not, with their budget.
-
-        None where one of them is not kept: the model had causes, or another instrument.
-        """
-        found = []
-        for one in wanted:
-            fit = stores.sums.get(one.scope, one.of, one.since, one.until) if one.model.is_plain else None
-            if fit is None:
-                return None
-            names = [told.calibration for piece in read_pieces(fit.arrays) for told in piece.told]
-            versions = list(stores.versions.get_many(names).values())
-            budgets = {name for version in versions for name in version.budgets}
-            if not budgets:
-                return None
-            found.append(_Kept(versions, parse_budget(stores.budgets.get(min(budgets)))))
-        return found
-
-    def _foresee(
-        self, spectra: Spectra, kept: Sequence[_Kept], wanted: Sequence[Wanted], neighbours: Sequence[Neighbours]
-    ) -> list[list[Version]] | None:
-        """Versions before and after by scope, from what is kept and one fit with the cause at the size of the finding.
-
-        None where what is kept was made with other inputs than a fit now.
-        """
-        whole, found = self.fits.fit_causes(spectra, wanted[0].model, are_sizes_known=True), []
-        for before, one, others in zip(kept, wanted, neighbours, strict=True):
-            after = self.fits.foresee(whole, one, before.versions, before.budget, others)
-            if {_name_setting(version) for version in before.versions} != {_name_setting(version) for version in after}:
-                return None
-            found += [before.versions, after]
-        return found
-
-    def _fit_both(
-        self, spectra: Spectra, wanted: Sequence[Wanted], neighbours: Sequence[Neighbours]
-    ) -> list[list[Version]]:
-        """Versions before and after by scope, all fitted as refits do."""
-        before, now = (self.fits.fit_causes(spectra, one.model) for one in wanted[:2])
-        after = [self.fits.make(now, one, others) for one, others in zip(wanted[1::2], neighbours, strict=True)]
-        # what the year is compared with needs no budget of its own
-        shared = next(iter(after[0].budgets.values()))
-        earlier = [
-            self.fits.make(before, one, others, shared).versions
-            for one, others in zip(wanted[::2], neighbours, strict=True)
-        ]
-        return [earlier[0], after[0].versions, earlier[1], after[1].versions]
+    def _fit(
+        self,
+        spectra: Spectra,
+        wanted: Sequence[Wanted],
+        neighbours: Sequence[Neighbours],
+        budget: Budget | None = None,
+    ) -> list[Made]:
+        """The fits of a year by some scopes, as refits do them."""
+        whole = self.fits.fit_causes(spectra, wanted[0].model)
+        return [self.fits.make(whole, one, others, budget) for one, others in zip(wanted, neighbours, strict=True)]
 
     def adopt(self, plan: Adoption, *, promote: bool) -> list[int]:
         """Give a station the model that was planned, and enqueue the refits; returns their jobs."""
@@ -277,28 +235,22 @@ class Models:
                 for one in reversed(changes)
             ]  # fmt: skip
 
-
-def list_stopped(history: Sequence[AdoptedModel]) -> list[str]:
-    """Sentences about adopted causes that gained too little in the last window that measured it."""
-    return [news.sentence for news in find_stopped(history)]
-
-
-def find_stopped(history: Sequence[AdoptedModel]) -> list[News]:
-    """Find the adopted causes that gained too little in the last window that measured it."""
-    return [
-        News(
-            CAUSE_STOPPED_PAYING, Scope(one.change.station), name,
-            f"{cause.sentence} On {gain.events} new events from {format_instant(gain.since)[:10]} on it gained "
-            f"{gain.gain:.1f} in log-likelihood, expected {gain.expected:.1f} ± {gain.expected_sigma:.1f}",
-            {"model": one.model.id, "gain": gain.gain, "expected": gain.expected},
-        )
-        for one in history
-        if one.is_in_effect
-        for cause in one.model.causes
-        for name in [Model((cause,)).id]
-        for gain in list(one.gains.get(name, ()))[-1:]
-        if gain.has_stopped_paying
-    ]  # fmt: skip
+    def stopped(self) -> list[News]:
+        """Adopted causes that gained too little in the last window that measured it."""
+        return [
+            News(
+                CAUSE_STOPPED_PAYING, Scope(one.change.station), name,
+                f"{cause.sentence} On {gain.events} new events from {format_instant(gain.since)[:10]} on it gained "
+                f"{gain.gain:.1f} in log-likelihood, expected {gain.expected:.1f} ± {gain.expected_sigma:.1f}",
+                {"model": one.model.id, "gain": gain.gain, "expected": gain.expected},
+            )
+            for one in self.history()
+            if one.is_in_effect
+            for cause in one.model.causes
+            for name in [Model((cause,)).id]
+            for gain in list(one.gains.get(name, ()))[-1:]
+            if gain.has_stopped_paying
+        ]  # fmt: skip
 
 
 def _adopt(before: Model, made: Investigation, number: int | str) -> tuple[Model, AdoptedCause]:
@@ -337,13 +289,6 @@ def _name_within(current: Model, version: Version) -> str | None:
     model = current.during(*(edge / 1e6 for edge in version.window))
     model = model if version.scope.station is None else model.of_stations([version.scope.station])
     return None if model.is_plain else model.id
-
-
-def _name_setting(version: Version) -> str:
-    """What a version was made with besides spectra and causes."""
-    names = "scope", "instrument", "sky_power", "model_version"
-    settings = {name: one for name, one in version.inputs["settings"].items() if name != "model"}
-    return canonical_json([version.window, settings, *(version.inputs[name] for name in names)])
 
 
 def _announce(before: Sequence[Version], after: Sequence[Version]) -> Iterator[tuple[str, Announced]]:

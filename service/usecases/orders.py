@@ -15,21 +15,13 @@ from lbacal_core.provenance import MODEL_VERSION, canonical_json, hash_arrays
 from lbacal_core.spectra.spectra import Spectra
 from service.errors import ConflictError, TooManyError
 from service.storage.database import Database, Stores
-from service.storage.jobs import Order
+from service.storage.jobs import Job, Order
 from service.storage.keys import Deed
 
 if TYPE_CHECKING:
     from lbacal_core.simulation.simulation import Simulation
 
 RETRY_S = 60.0
-
-
-@dataclass(frozen=True)
-class Limits:
-    """The limits of one key: the most open parts, and the longest window of a fit."""
-
-    open_parts: int
-    window_days: float
 
 
 def read_window(since: str, until: str) -> tuple[Instant, Instant]:
@@ -40,18 +32,25 @@ def read_window(since: str, until: str) -> tuple[Instant, Instant]:
     return first, last
 
 
-def place_order(stores: Stores, order: Order, limits: Limits, clock: Callable[[], Instant]) -> int:
-    """Enqueue a job that somebody asked for, and return its number."""
+def place_order(stores: Stores, order: Order, most: int, clock: Callable[[], Instant]) -> int:
+    """Enqueue a job that somebody asked for, of whom at most so many parts may wait, and return its number."""
     waiting = stores.jobs.count_open(order.by)
-    if waiting and waiting + len(order.parts) > limits.open_parts:  # a larger order is taken when nothing else waits
+    if waiting and waiting + len(order.parts) > most:  # a larger order is taken when nothing else waits
         raise TooManyError(
             f"{waiting} parts of jobs of {order.by} wait or run, and {len(order.parts)} more would be above "
-            f"{limits.open_parts} (LBACAL_MAX_OPEN_PARTS)", RETRY_S
+            f"{most} (LBACAL_MAX_OPEN_PARTS)", RETRY_S
         )  # fmt: skip
     number = stores.jobs.add(order, clock())
     if number is None:
         raise ConflictError("the job could not be made")
     return number
+
+
+def stop_job(database: Database, now: Instant, number: int, by: str, reason: str | None = None) -> Job:
+    """Stop a job; what it has already stored stays."""
+    with database.write() as stores:
+        stores.jobs.cancel(number, now, by, reason)
+        return stores.jobs.get(number)
 
 
 # What a fit is made with besides spectra: the scheduler names it in the part, and only a worker that has it may begin.
@@ -102,45 +101,40 @@ def explain_difference(needed: str, found: str) -> str:
 LONGEST_NAME = 200
 
 
-@dataclass(frozen=True)
-class Deeds:
-    """Executes requests, once for each idempotency key."""
+def do_once(
+    database: Database, now: Instant, by: str, name: str | None, request: bytes, do: Callable[[], bytes]
+) -> bytes:
+    """Execute a request and return its answer, or the stored answer of the same idempotency key.
 
-    database: Database
-    clock: Callable[[], Instant]
+    Request and answer are one transaction: if the answer cannot be written, the request has no effect.
 
-    def once(self, by: str, name: str | None, request: bytes, do: Callable[[], bytes]) -> bytes:
-        """Execute a request and return its answer, or the stored answer of the same idempotency key.
+    Parameters
+    ----------
+    name
+        The `Idempotency-Key` that the caller chose; None does it in any case.
+    request
+        What was asked, whole; something else under the same name is a conflict.
+    """
+    if name is None:
+        with database.write():
+            return do()
+    _require_printable(name)
+    with database.write() as stores:
+        earlier = stores.deeds.begin(by, name, _digest(request), now)
+        if earlier is not None:
+            return _answer_of(earlier, name, request)
+        answer = do()
+        stores.deeds.end(by, name, answer.decode())
+        return answer
 
-        Request and answer are one transaction: if the answer cannot be written, the request has no effect.
 
-        Parameters
-        ----------
-        name
-            The `Idempotency-Key` that the caller chose; None does it in any case.
-        request
-            What was asked, whole; something else under the same name is a conflict.
-        """
-        if name is None:
-            with self.database.write():
-                return do()
-        _require_printable(name)
-        with self.database.write() as stores:
-            earlier = stores.deeds.begin(by, name, _digest(request), self.clock())
-            if earlier is not None:
-                return _answer_of(earlier, name, request)
-            answer = do()
-            stores.deeds.end(by, name, answer.decode())
-            return answer
-
-    def recall(self, by: str, name: str | None, request: bytes) -> bytes | None:
-        """The stored answer of an idempotency key, for requests that take long to work out; None if there is none."""
-        if name is None:
-            return None
-        _require_printable(name)
-        with self.database.read() as stores:
-            earlier = stores.deeds.find(by, name)
-        return None if earlier is None else _answer_of(earlier, name, request)
+def recall_answer(database: Database, by: str, name: str | None, request: bytes) -> bytes | None:
+    """The stored answer of an idempotency key, for requests that take long to work out; None if there is none."""
+    if name is None:
+        return None
+    _require_printable(name)
+    earlier = database.look(lambda stores: stores.deeds.find(by, name))
+    return None if earlier is None else _answer_of(earlier, name, request)
 
 
 def _require_printable(name: str) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 
+from lbacal.instants import SECOND_US
 from lbacal_core.calibration.one_event import OverLst, compare_over_lst, map_departures
 from lbacal_core.calibration.prediction import Prediction
 from lbacal_core.causes.model import Model
@@ -15,7 +16,6 @@ from lbacal_core.grids import Floats
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.blocks import iterate_blocks
 from service.storage.spectra import Window
-from service.storage.versions import MICROSECONDS
 from service.usecases.calibrations import Calibrations, CurveInEffect, select_paths
 from service.usecases.fits import Fits
 
@@ -37,7 +37,7 @@ class Predictions:
         told = curve.told.curve
         text = None if told.covariance is None else found.budgets.get(str(told.covariance.budget))
         budget = None if text is None else parse_budget(json.loads(text))
-        is_own, seconds = curve.promotion.scope.antenna is not None, at / MICROSECONDS
+        is_own, seconds = curve.promotion.scope.antenna is not None, at / SECOND_US
         model = curve.version.inputs.get("settings", {}).get("model")
         # the causes of the version that answers, at their adopted sizes: those fitted again are not kept with it
         simulation = self.simulation if model is None else self.simulation.with_causes(Model.from_text(model))

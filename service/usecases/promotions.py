@@ -252,11 +252,6 @@ class Tags:
             stores.tags.add(tag)
             return tag, True
 
-    def after(self, cursor: str, limit: int) -> Sequence[Tag]:
-        """Tags in order of their names, after a cursor."""
-        with self.database.read() as stores:
-            return stores.tags.after(cursor, limit)
-
     def read_knowledge(self, as_of: str | None, tag: str | None) -> Knowledge:
         """Read the instant of knowledge of a query from its `as_of` or `tag`."""
         if tag is None:

@@ -12,9 +12,10 @@ from lbacal_core.curves.covariance import parse_budget
 from lbacal_core.curves.validity import Instant, Promotion, Scope, timeline
 from lbacal_core.errors import BadInputError
 from lbacal_core.simulation.simulation import Simulation
+from service.config import Settings
 from service.errors import ConflictError
 from service.storage.database import Database, Stores
-from service.storage.jobs import Job, Order, Part, Record
+from service.storage.jobs import Order, Part
 from service.storage.sums import KeptPiece, Sums, Told, read_pieces
 from service.storage.versions import Examined, Version
 from service.usecases.calibrations import select_paths
@@ -31,8 +32,8 @@ from service.usecases.fits import (
     tell,
 )
 from service.usecases.gate import Gate, find_predecessors, find_shift
-from service.usecases.orders import Limits, name_inputs, place_order, read_window
-from service.usecases.payoff import Payoff
+from service.usecases.orders import name_inputs, place_order, read_window
+from service.usecases.payoff import find_known_until, measure_payoff
 from service.usecases.windows import ALONE, Neighbours
 from service.wire.bodies import RefitBody
 
@@ -48,16 +49,15 @@ class Refits:
     database: Database
     simulation: Simulation
     fits: Fits
-    payoff: Payoff
     gate: Gate
-    limits: Limits
+    settings: Settings
     clock: Callable[[], Instant]
 
     def request(self, body: RefitBody, by: str) -> int:
         """Enqueue what an admin asks for: one part for the array, else one a station, with the model adopted now."""
         since, until = read_window(body.since, body.until)
-        if until - since > self.limits.window_days * DAY_US:
-            most = f"a window of at most {self.limits.window_days:g} days (LBACAL_MAX_WINDOW_DAYS)"
+        if until - since > self.settings.max_window_days * DAY_US:
+            most = f"a window of at most {self.settings.max_window_days:g} days (LBACAL_MAX_WINDOW_DAYS)"
             raise BadInputError("body.until", most, f"{(until - since) / DAY_US:.0f} days")
         scope = Scope(body.station, body.antenna, body.dipole)
         select_paths(self.simulation.instrument, scope.station, scope.antenna, scope.dipole)
@@ -77,7 +77,7 @@ class Refits:
                 part = describe_part(body.scope, one, since, until, model, promote=body.promote)
                 parts.append(part if body.fit == "years" else {**part, "fit": body.fit})
             order = Order(KIND, body.model_dump(), parts, body.reason, by, inputs=inputs)
-            return place_order(stores, order, self.limits, self.clock)
+            return place_order(stores, order, self.settings.max_open_parts, self.clock)
 
     def run(self, part: Part, worker: str) -> None:
         """Do a part: read, fit, then write versions, promotions and the end of the part in one transaction.
@@ -92,10 +92,10 @@ class Refits:
             spectra = self.fits.load(stores, wanted)
             is_alone = part.request.get("fit") == "year"
             neighbours = ALONE if is_alone else self.fits.find_neighbours(stores, wanted)
-            known = self.payoff.known_until(stores, wanted)
+            known = find_known_until(stores, wanted)
         whole = self.fits.fit_causes(spectra, wanted.model)
         made = self.fits.make(whole, wanted, neighbours)
-        gains = self.payoff.measure(whole, wanted, known)
+        gains = measure_payoff(whole, wanted, known, self.simulation, self.clock())
         with self.database.write() as stores:
             said = _read_said(stores, block) if part.is_due else {}
             kept = self._keep(stores, made.versions, part, said)
@@ -138,8 +138,8 @@ class Refits:
             stores.versions.confirm(found.examined)
             if versions:
                 keep_told(stores, later.block, pieces, kept.told)
-            result = {**kept.result, "examined": kept.result["examined"] + len(found.examined)}
-            stores.jobs.complete(part, worker, result, self.clock())
+            kept.result["examined"] += len(found.examined)
+            stores.jobs.complete(part, worker, kept.result, self.clock())
             stores.ledger.append(kept.promotions, self.clock)
         return True
 
@@ -163,15 +163,17 @@ class Refits:
         What the gate compares with must not change before the promotions are written: the ledger is locked first. Due
         work leaves no version where C hardly moved from the one in effect.
         """
+        kept = _Kept()
         if not part.request["promote"]:
             stores.versions.add(made)
-            return _Kept({"calibrations": [version.id for version in made], "promoted": [], "gated": {}}, [])
+            kept.result["calibrations"] = [version.id for version in made]
+            return kept
         stores.ledger.lock()
-        windows = dict.fromkeys(version.window for version in made)
-        kept = [self._keep_window(stores, [v for v in made if v.window == window], part, said) for window in windows]
-        return _Kept.of(kept)
+        for window in dict.fromkeys(version.window for version in made):
+            self._keep_window(stores, [v for v in made if v.window == window], part, said, kept)
+        return kept
 
-    def _keep_window(self, stores: Stores, made: list[Version], part: Part, said: Said) -> _Kept:
+    def _keep_window(self, stores: Stores, made: list[Version], part: Part, said: Said, kept: _Kept) -> None:
         """Store the new versions of one window.
 
         What somebody put into effect since due work spoke of the window last stays, while it would say the same again.
@@ -205,7 +207,7 @@ class Refits:
                 stays.add(v.scope)
         news = [v for v in made if v.scope not in examined]
         stores.versions.confirm(list(examined.values()))
-        stores.versions.add([v.with_gate(gated[v.id]) for v in news])
+        stores.versions.add([replace(v, gate=gated[v.id]) for v in news])
         passed = {v.scope: v.id for v in news if gated[v.id] is None}
         answers = {scope: one.calibration for scope, one in examined.items()} | passed
         promoted = [
@@ -213,37 +215,27 @@ class Refits:
             for scope, name in answers.items()
             if scope not in stays and standing.get(scope) != name
         ]
-        objections = {name: objection for name, objection in gated.items() if objection is not None}
-        result = {
-            "calibrations": [v.id for v in news], "promoted": [one.calibration for one in promoted],
-            "gated": objections, "examined": len(examined),
-        }  # fmt: skip
+        kept.promotions += promoted
+        kept.result["calibrations"] += [v.id for v in news]
+        kept.result["promoted"] += [one.calibration for one in promoted]
+        kept.result["gated"] |= {name: objection for name, objection in gated.items() if objection is not None}
+        kept.result["examined"] += len(examined)
         told = {v.scope: tell(v, is_in_effect=v.id in (passed.get(v.scope), standing.get(v.scope))) for v in news}
         told |= {scope: tell(versions[one.calibration], is_in_effect=True) for scope, one in examined.items()}
-        of_window = {
+        kept.told |= {
             (scope, since, until): own.get(scope, one) if scope in stays else one for scope, one in told.items()
         }
-        return _Kept(result, promoted, of_window)
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Kept:
-    """What a part left behind."""
+    """What a part leaves behind; its result is as jobs tell it."""
 
-    result: Mapping[str, Any]
-    promotions: list[Promotion]
-    told: Mapping[TellKey, Told] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, kept: Sequence[_Kept]) -> _Kept:
-        """Join the results of several windows."""
-        result: dict[str, Any] = {
-            name: [one for each in kept for one in each.result[name]] for name in ("calibrations", "promoted")
-        }
-        result["gated"] = {name: why for each in kept for name, why in each.result["gated"].items()}
-        result["examined"] = sum(each.result["examined"] for each in kept)
-        told = {key: one for each in kept for key, one in each.told.items()}
-        return cls(result, [promotion for each in kept for promotion in each.promotions], told)
+    result: dict[str, Any] = field(
+        default_factory=lambda: {"calibrations": [], "promoted": [], "gated": {}, "examined": 0}
+    )
+    promotions: list[Promotion] = field(default_factory=list)
+    told: dict[TellKey, Told] = field(default_factory=dict)
 
 
 Said = Mapping[TellKey, Told]
@@ -332,32 +324,3 @@ def describe_part(
         "scope": scope, "station": of.station, "antenna": of.antenna, "dipole": of.dipole,
         "since": since, "until": until, "promote": promote, **({} if model.is_plain else {"model": model.id}),
     }  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Jobs:
-    """A requested job and its progress."""
-
-    database: Database
-    clock: Callable[[], Instant]
-
-    def get(self, number: int) -> Job:
-        """Get one job."""
-        with self.database.read() as stores:
-            return stores.jobs.get(number)
-
-    def records(self, number: int) -> list[Record]:
-        """The records of the parts of a job."""
-        with self.database.read() as stores:
-            return stores.jobs.records(number)
-
-    def newest(self, *, before: int | None = None, limit: int = 100) -> list[Job]:
-        """List jobs, newest first."""
-        with self.database.read() as stores:
-            return stores.jobs.newest(before=before, limit=limit)
-
-    def cancel(self, number: int, by: str, reason: str | None = None) -> Job:
-        """Stop a job; what it has already stored stays."""
-        with self.database.write() as stores:
-            stores.jobs.cancel(number, self.clock(), by, reason)
-            return stores.jobs.get(number)

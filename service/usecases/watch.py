@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lbacal.instants import DAY_US, format_instant
+from lbacal.instants import DAY_US, SECOND_US, format_instant
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import name_path, write_change
 from lbacal_core.grids import Floats
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from lbacal_core.drift.follow import History
 
 KIND = "watch"
-SECOND_US = 1_000_000
 MEMBERS_NAMED = 4
 """A sentence names this many of those that changed together, and counts the others."""
 TREND_P = 0.001

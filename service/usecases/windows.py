@@ -15,22 +15,8 @@ from lbacal_core.curves.kept_lines import KeptLines, Owner
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.grids import Floats
 from lbacal_core.provenance import hash_content
+from service.storage.sums import KeptPiece
 from service.storage.versions import BESIDE, Version
-
-SECOND_US = 1_000_000
-
-
-@dataclass(frozen=True)
-class KeptWindow:
-    """The lines of a window, [since, until), of all paths of a scope."""
-
-    since: Instant
-    until: Instant
-    lines: Sequence[KeptLines]
-
-    def gap(self, since: Instant, until: Instant) -> Instant:
-        """The time between it and another window, 0 where they touch."""
-        return max(since - self.until, self.since - until)
 
 
 @dataclass(frozen=True)
@@ -41,23 +27,24 @@ class Neighbours:
     and the hash of the spectra that say so.
     """
 
-    windows: Sequence[KeptWindow]
+    windows: Sequence[KeptPiece]
     changes: Mapping[tuple[str, int | None], Sequence[Instant]]
     behind: Mapping[Owner, tuple[Floats, str]]
 
-    def beside(self, since: Instant, until: Instant) -> list[tuple[KeptWindow, Beside]]:
+    def beside(self, since: Instant, until: Instant) -> list[tuple[KeptPiece, Beside]]:
         """The windows that are fitted together with a window, the nearest first."""
-        ranked = sorted(self.windows, key=lambda one: (one.gap(since, until), one.since))
+        # the time between two windows, 0 where they touch
+        ranked = sorted(self.windows, key=lambda one: (max(since - one.until, one.since - until), one.since))
         return [(one, Beside(of, self._is_same(of, one, since, until))) for one in ranked for of in one.lines]
 
-    def _is_same(self, of: KeptLines, one: KeptWindow, since: Instant, until: Instant) -> NDArray[np.bool_]:
+    def _is_same(self, of: KeptLines, one: KeptPiece, since: Instant, until: Instant) -> NDArray[np.bool_]:
         """Whether nothing is known to have changed between two windows; of a mean what single ones do is taken out."""
         first, last = min(one.until, until), max(one.since, since)
         asked = [{(str(station), None), (str(station), antenna)} for station, antenna, _ in of.owners]
         dates = [[date for key in keys for date in self.changes.get(key, ())] for keys in asked]
         return np.array([not any(first <= date <= last for date in found) for found in dates])
 
-    def and_also(self, window: KeptWindow) -> Neighbours:
+    def and_also(self, window: KeptPiece) -> Neighbours:
         """Add one window."""
         return replace(self, windows=[*self.windows, window])
 
@@ -66,13 +53,13 @@ ALONE = Neighbours((), {}, {})
 
 
 def name_beside(
-    scope: Scope, curves: Sequence[CalibrationCurve], beside: Sequence[tuple[KeptWindow, Beside]]
+    scope: Scope, curves: Sequence[CalibrationCurve], beside: Sequence[tuple[KeptPiece, Beside]]
 ) -> dict[str, str]:
     """Name the windows that a version was fitted together with."""
     return {BESIDE: name_windows(scope, beside)} if any(curve.repeated for curve in curves) else {}
 
 
-def name_windows(scope: Scope, beside: Sequence[tuple[KeptWindow, Beside]]) -> str:
+def name_windows(scope: Scope, beside: Sequence[tuple[KeptPiece, Beside]]) -> str:
     """The hash of the spectra of a scope in other windows."""
     named = sorted(
         [one.since, one.until, str(of.lines.spectra[k])]

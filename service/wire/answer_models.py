@@ -4,17 +4,23 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field, create_model
 
 INSTANT = "an instant, which values of the service hold in microseconds"
 Moment = Annotated[str, INSTANT]
 MomentOrNone = Annotated[str | None, INSTANT]
 
 
-class Answer(BaseModel):
+class Answer(BaseModel, strict=True, extra="forbid"):
     """Base of all answers: nothing that is not told."""
 
-    model_config = ConfigDict(strict=True, extra="forbid")
+
+def _page(noun: str, of: type[Answer], cursor: type[int | str], field: str = "") -> type[Answer]:
+    """A page of a list of answers, with the cursor of the next one."""
+    following: Any = (cursor | None, Field(description="cursor of the next page"))
+    items: dict[str, Any] = {field or noun: (list[of], ...)}  # type: ignore[valid-type] # an argument
+    name, told = f"{noun.capitalize()}Answer", f"A page of {noun}."
+    return create_model(name, __base__=Answer, __doc__=told, **items, next=following)
 
 
 class ReceiptAnswer(Answer):
@@ -48,11 +54,7 @@ class EventAnswer(Answer):
     env: dict[str, float | None] = Field(description="covariates by name")
 
 
-class EventsAnswer(Answer):
-    """A page of events."""
-
-    events: list[EventAnswer]
-    next: int | None = Field(description="cursor of the next page")
+EventsAnswer = _page("events", EventAnswer, int)
 
 
 class RefitAnswer(Answer):
@@ -80,13 +82,7 @@ class JobAnswer(Answer):
     created_at: Moment
 
 
-class JobsAnswer(Answer):
-    """A page of jobs."""
-
-    jobs: list[JobAnswer]
-    next: int | None = Field(description="cursor of the next page")
-
-
+JobsAnswer = _page("jobs", JobAnswer, int)
 # What answers about calibrations, drift and the state of the service look like, for the OpenAPI document.
 
 Level = Literal["array", "station", "antenna"]
@@ -191,10 +187,8 @@ class Fitted(Answer):
     sigma: float
 
 
-class CurveAnswer(PathAnswer):
+class CurveAnswer(PathAnswer, extra="allow"):
     """A curve as in fit.json (docs/formats/fit-report.md), which may hold more fields than these."""
-
-    model_config = ConfigDict(strict=True, extra="allow")
 
     status: str
     events: int
@@ -207,19 +201,17 @@ class CurveAnswer(PathAnswer):
     parameters: dict[str, Fitted]
 
 
-class Stretch(Answer):
+class Stretch(Answer, populate_by_name=True):
     """A half-open interval; null is open."""
 
-    model_config = ConfigDict(strict=True, extra="forbid", populate_by_name=True)
-
-    start: str | None = Field(alias="from")
-    end: str | None = Field(alias="to")
+    start: MomentOrNone = Field(alias="from")
+    end: MomentOrNone = Field(alias="to")
 
 
 class Validity(Stretch):
     """A half-open interval; `to` null is open."""
 
-    start: str = Field(alias="from")
+    start: Moment = Field(alias="from")
 
 
 class ReferenceAnswer(Answer):
@@ -279,10 +271,8 @@ class BudgetAnswer(Answer):
     terms: list[BudgetTermAnswer]
 
 
-class InEffectAnswer(Answer):
+class InEffectAnswer(Answer, extra="allow"):
     """The calibration in effect at an instant."""
-
-    model_config = ConfigDict(strict=True, extra="allow")
 
     at: Moment
     as_of: str | None = Field(description="as it was asked")
@@ -338,10 +328,8 @@ class EdgesAnswer(Answer):
     stations: list[StationEdges]
 
 
-class VersionAnswer(PathAnswer):
+class VersionAnswer(PathAnswer, extra="allow"):
     """A version without its curves."""
-
-    model_config = ConfigDict(strict=True, extra="allow")
 
     id: str
     scope: Level
@@ -358,11 +346,7 @@ class VersionAnswer(PathAnswer):
     inputs: dict[str, Any]
 
 
-class VersionsAnswer(Answer):
-    """A page of versions."""
-
-    calibrations: list[VersionAnswer]
-    next: str | None = Field(description="cursor of the next page")
+VersionsAnswer = _page("versions", VersionAnswer, str, "calibrations")
 
 
 class WholeVersionAnswer(VersionAnswer):
@@ -421,10 +405,8 @@ class PromotionLine(PathAnswer):
     reason: str
 
 
-class PromotionAnswer(ChangesAnswer, PromotionLine):
+class PromotionAnswer(ChangesAnswer, PromotionLine, extra="allow"):
     """A promotion and what it changes."""
-
-    model_config = ConfigDict(strict=True, extra="allow")
 
 
 class PromotionsAnswer(ChangesAnswer):
@@ -444,18 +426,8 @@ class TagAnswer(Answer):
     reason: str
 
 
-class TagsAnswer(Answer):
-    """A page of tags."""
-
-    tags: list[TagAnswer]
-    next: str | None = Field(description="cursor of the next page")
-
-
-class InvestigationsAnswer(Answer):
-    """A page of investigations."""
-
-    investigations: list[InvestigationLine]
-    next: str | None = Field(description="cursor of the next page")
+TagsAnswer = _page("tags", TagAnswer, str)
+InvestigationsAnswer = _page("investigations", InvestigationLine, str)
 
 
 class InvestigationAnswer(InvestigationLine):
@@ -588,11 +560,7 @@ class AlarmAnswer(PathAnswer):
     content: dict[str, Any]
 
 
-class AlarmsAnswer(Answer):
-    """A page of alarms."""
-
-    alarms: list[AlarmAnswer]
-    next: int | None = Field(description="cursor of the next page")
+AlarmsAnswer = _page("alarms", AlarmAnswer, int)
 
 
 class DatedAnswer(Answer):
@@ -608,10 +576,8 @@ class SizeAnswer(Fitted):
     unit: Literal["fraction of C"] = "fraction of C"
 
 
-class EvidenceAnswer(Answer):
+class EvidenceAnswer(Answer, populate_by_name=True):
     """The source of a change."""
-
-    model_config = ConfigDict(strict=True, extra="forbid", populate_by_name=True)
 
     source: Literal["drift", "investigation", "record", "person"] = Field(alias="from")
     ref: str = Field(description="id of the investigation and number of the finding, or who entered it")
@@ -702,11 +668,7 @@ class ModelLine(Answer):
     causes: list[AdoptedCauseAnswer]
 
 
-class ModelsAnswer(Answer):
-    """A page of models."""
-
-    models: list[ModelLine]
-    next: int | None = Field(description="cursor of the next page")
+ModelsAnswer = _page("models", ModelLine, int)
 
 
 class AdoptionAnswer(Answer):

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from lbacal.instants import format_instant, format_optional
-from lbacal_core.calibration.spreads import ToldCurve
-from lbacal_core.curves.curves import OK, UNCERTAIN, list_numbers
-from lbacal_core.curves.reference_chain import ReferenceChain
+from lbacal.instants import format_optional
+from lbacal_core.curves.curves import list_numbers
 from lbacal_core.curves.validity import Instant, Promotion, Scope
 from service.errors import NotAcceptableError
 from service.wire.answer_models import INSTANT, Answer, PromotionLine
@@ -30,6 +28,7 @@ def describe_scope(scope: Scope) -> dict[str, Any]:
 def fill_answer(answer: type[Answer], *values: Any, **given: Any) -> dict[str, Any]:
     """The fields of an answer, each from the first value that has it: what a store holds is named once, in the answer.
 
+    A value has its fields as attributes, or as keys.
     `made_at` is the instant `made` of a value, `alive` its `is_alive`, and a scope is told with its path. `given` are
     fields that a value has in another form, or not at all.
     """
@@ -37,19 +36,29 @@ def fill_answer(answer: type[Answer], *values: Any, **given: Any) -> dict[str, A
     of_scope = {} if scope is None else {"scope": scope.level, **describe_scope(scope)}
     known = of_scope | given
     return {
-        name: known[name] if name in known else _read_field(name, values, is_instant=INSTANT in field.metadata)
+        field.alias or name: known[name]
+        if name in known
+        else _read_field(name, values, is_instant=INSTANT in field.metadata)
         for name, field in answer.model_fields.items()
     }
 
 
 def _read_field(name: str, values: Sequence[Any], *, is_instant: bool) -> Any:
     names = name, name.removesuffix("_at"), f"is_{name}"
-    found = next(getattr(value, one) for value in values for one in names if hasattr(value, one))
+    told = (_find(value, one) for value in values for one in names)
+    found = next(one for one in told if one is not _ABSENT)
     if is_instant:
         return format_optional(found)
     if isinstance(found, np.ndarray):
         return list_numbers(found)
     return dict(found) if isinstance(found, Mapping) else list(found) if isinstance(found, tuple) else found
+
+
+_ABSENT = object()
+
+
+def _find(value: Any, name: str) -> Any:
+    return value.get(name, _ABSENT) if isinstance(value, Mapping) else getattr(value, name, _ABSENT)
 
 
 def describe_stretch(start: Instant | None, end: Instant | None, **also: Any) -> dict[str, Any]:
@@ -60,71 +69,6 @@ def describe_stretch(start: Instant | None, end: Instant | None, **also: Any) ->
 def describe_promotion(promotion: Promotion) -> dict[str, Any]:
     """Describe one line of the ledger."""
     return fill_answer(PromotionLine, promotion, promotion=promotion.number)
-
-
-def describe_curve_in_effect(
-    told: ToldCurve,
-    chain: ReferenceChain | None,
-    promotion: Promotion,
-    trace: Sequence[Promotion],
-    changed: str | None,
-    epoch: Mapping[str, Any],
-    why: str,
-    *,
-    is_held: bool,
-) -> dict[str, Any]:
-    """A curve as in fit.json, as the path is served it, with the version and the scope that answered."""
-    held = "held: nothing is in effect, the nearest in time answers" if is_held else None
-    reasons = [text for text in (held, changed, told.reason) if text]
-    return {
-        **told.curve.as_dict(),
-        "calibration": promotion.calibration,
-        "answered_by": promotion.scope.level,
-        "factor": told.factor.tolist(),
-        "flag": [UNCERTAIN if reasons and flag == OK else flag for flag in told.curve.flags.tolist()],
-        "flag_reason": "; ".join(reasons) or None,
-        "reference": None if chain is None else describe_reference(chain, told.cable),
-        "valid": describe_stretch(promotion.valid_from, promotion.valid_to),
-        "held": is_held,
-        "trace": [
-            {"scope": p.scope.level, "promotion": p.number, "calibration": p.calibration, "at": format_instant(p.at)}
-            for p in trace
-        ],
-        "epoch": epoch,
-        "why": why,
-    }
-
-
-def describe_reference(chain: ReferenceChain, cable: str | None) -> dict[str, Any]:
-    """Describe the reference of a curve: number of paths, the path's cable, and the hashes that fix the conversion."""
-    jensen = chain.jensen
-    return {
-        "paths": len(chain.members),
-        "cable": cable,
-        "cables": chain.cables.digest,
-        "spreads": None if chain.spreads is None else chain.spreads.digest,
-        "jensen": None if jensen is None else jensen.tolist(),
-    }
-
-
-def write_in_effect(
-    at: Instant, as_of: str | None, curves: Iterable[bytes], missing: Sequence[Scope], budgets: Mapping[str, str]
-) -> bytes:
-    """The answer to "in effect at" as JSON, from curves as texts; `missing` names paths for which nothing is in effect.
-
-    `budgets` holds the texts of those that the curves name.
-    """
-    described = ",".join(f"{json.dumps(name)}:{budgets[name]}" for name in sorted(budgets)).encode()
-    return b'%b,"curves":[%b],"budgets":{%b},"missing":%b}' % (
-        to_json(_describe_question(at, as_of))[:-1],
-        b",".join(curves),
-        described,
-        to_json([describe_scope(path) for path in missing]),
-    )
-
-
-def _describe_question(at: Instant, as_of: str | None) -> dict[str, Any]:
-    return {"at": format_instant(at), "as_of": as_of}
 
 
 # Which format an answer has: `format=` decides, else the header Accept, as far as we can serve it.

@@ -29,10 +29,8 @@ _COLUMN = re.compile(r"<(f8|i8|U[0-9]{1,9})")
 _BROKEN = (ValueError, TypeError, MemoryError, OSError)
 
 
-class RefusedFileError(LbacalError):
+class RefusedFileError(LbacalError, code="bad_input"):
     """A file that does not follow its format, in the words of the process that read it."""
-
-    code = "bad_input"
 
     def __init__(self, status: int, sentence: str) -> None:
         super().__init__(sentence)

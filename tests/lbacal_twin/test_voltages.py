@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.sky.table import SkyPower
 from lbacal_core.traces.background import CleaningSettings, measure_traces
@@ -17,7 +18,7 @@ from lbacal_twin.gains import draw_scatter
 from lbacal_twin.hardware import Scene, Stages, build_station
 from lbacal_twin.settings import TwinSettings
 from lbacal_twin.view import View
-from lbacal_twin.voltages import Shower, Transmitter, digitise, draw_chain_voltage, draw_noise
+from lbacal_twin.voltages import SAMPLE_RATE_HZ, Shower, Transmitter, digitise, draw_noise
 from lbacal_twin.weather import draw_weather
 
 FREQUENCY = np.arange(30.0, 81.0)
@@ -69,9 +70,22 @@ def _station(instrument: Instrument, sky_power: SkyPower) -> tuple[Stages, Scene
     return build_station(TwinSettings(), instrument, scene, np.random.default_rng(2))[0], scene
 
 
+def draw_chain_voltage(stages: Stages, path: tuple[int, int, int], samples: int, rng: np.random.Generator) -> Floats:
+    """What reaches the converter of one path in one event, every noise source through the stages behind it."""
+    at = {
+        name: np.broadcast_to(values, (*np.maximum(np.shape(values)[:3], np.add(path, 1)), FREQUENCY.size))[path]
+        for name, values in vars(stages).items()
+    }
+    behind_antenna = at["gain"] * at["antenna"] * at["cable"] * at["receiver"]
+    sources = at["sky"] * behind_antenna, at["lna_noise"] * behind_antenna, at["rcu_noise"] * at["receiver"]
+    voltage = sum(draw_noise(power * 50.0, FREQUENCY, samples, rng) for power in sources)
+    level = float(np.mean(at["adc_noise"])) * 50.0  # white from 0 to half the sample rate
+    return voltage + rng.normal(scale=np.sqrt(level * 1e-6 * SAMPLE_RATE_HZ / 2.0), size=samples)
+
+
 def _measure(stages: Stages, blocks: int, rng: np.random.Generator, scale: float) -> tuple[np.ndarray, Trace]:
     """One spectrum by way of voltages; `scale` brings the chain's arbitrary unit to ADC units."""
-    voltage = draw_chain_voltage(stages, FREQUENCY, (1, 0, 0), blocks * BLOCK_SAMPLES, rng) * scale
+    voltage = draw_chain_voltage(stages, (1, 0, 0), blocks * BLOCK_SAMPLES, rng) * scale
     reference = TraceReference(Path("twin"), "2", "CS002", 2, 1_400_000_000, 0, 200e6)
     samples = digitise(voltage).reshape(-1, BLOCK_SAMPLES)
     trace = Trace(reference, samples, np.arange(blocks), np.ones(blocks, dtype=bool), {})

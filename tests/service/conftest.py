@@ -88,11 +88,19 @@ def work(factory: Factory) -> None:
     Worker(factory, "worker").run(threading.Event(), until_idle=True)
 
 
+def get_job(factory: Factory, number: int) -> Job:
+    return factory.database.look(lambda stores: stores.jobs.get(number))
+
+
+def get_version(factory: Factory, name: str) -> Version:
+    return factory.database.look(lambda stores: stores.versions.get(name))
+
+
 def night(factory: Factory) -> list[Job]:
     """One night: what it enqueued, done, as jobs."""
     numbers = look_for_due_work(factory)
     work(factory)
-    return [factory.jobs.get(number) for number in numbers]
+    return [get_job(factory, number) for number in numbers]
 
 
 def refit(factory: Factory, scope: str, **more: Any) -> Job:
@@ -100,7 +108,7 @@ def refit(factory: Factory, scope: str, **more: Any) -> Job:
     asked = {"scope": scope, "since": "2014-01-01", "until": "2015-01-01", "reason": "test", "promote": True, **more}
     number = factory.refits.request(RefitBody.model_validate(asked), "test")
     work(factory)
-    return factory.jobs.get(number)
+    return get_job(factory, number)
 
 
 def add_spectra(factory: Factory, spectra: Spectra) -> None:

@@ -27,7 +27,7 @@ from service.storage.alarms import AlarmsAsked
 from service.storage.jobs import PAUSE_US
 from service.storage.processes import SCHEDULER
 from service.usecases.drift_measurement import find_references
-from tests.service.conftest import Clock, add_spectra, flat_spectra, like, night
+from tests.service.conftest import Clock, add_spectra, flat_spectra, get_job, like, night
 
 DAY_S = 86_400.0
 EVERYTHING = AlarmsAsked(("open", "ended"), 99)
@@ -197,7 +197,7 @@ def rewired(filled: Factory, instrument_file: Path, tmp_path: Path) -> Iterator[
 
 def stations_of(factory: Factory, numbers: list[int]) -> list[str | None]:
     """Whose refits some jobs are, None for the array."""
-    return sorted((factory.jobs.get(number).request["station"] for number in numbers), key=str)
+    return sorted((get_job(factory, number).request["station"] for number in numbers), key=str)
 
 
 def test_a_cable_of_one_station_called_for_the_refits_of_all(filled: Factory, rewired: Factory) -> None:
@@ -231,7 +231,7 @@ def test_failed_work_is_looked_at_again_by_day_once_its_pause_is_over(filled: Fa
 def shift(factory: Factory, years: int) -> list[int]:
     """Store an event so many years after that of the service; the years whose refits are due then."""
     add_spectra(factory, flat_spectra((f"{years} years", TIME_UNIX + years * 365.25 * 86_400, "CS001", 0, "X")))
-    due = [factory.jobs.get(number).request["since"] for number in factory.due.enqueue()]
+    due = [get_job(factory, number).request["since"] for number in factory.due.enqueue()]
     with factory.database.engine.begin() as connection:
         connection.exec_driver_sql("UPDATE job_part SET state = 'done', ended_us = 0")
     return sorted({datetime.fromtimestamp(since / 1e6, UTC).year for since in due})

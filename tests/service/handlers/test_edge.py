@@ -156,7 +156,9 @@ def test_a_tenth_wrong_key_is_told_to_wait_and_a_right_one_is_not(factory: Facto
     assert client.get("/v1/jobs").status_code == 200
     made = bearer(factory, "read")
     assert client.get("/v1/jobs", headers=made).status_code == 200
-    (number,) = [one.number for one in factory.keys.list() if one.scopes == ("read",)]
+    (number,) = [
+        one.number for one in factory.database.look(lambda stores: stores.keys.all()) if one.scopes == ("read",)
+    ]
     factory.keys.revoke(number)
     assert client.get("/v1/jobs", headers=made).status_code == 429, "a revoked key is a wrong one"
 

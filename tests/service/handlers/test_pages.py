@@ -18,7 +18,7 @@ from service.factory import Factory
 from service.storage.alarms import MISFIT, OPEN, AlarmsAsked, News
 from service.storage.changes import DRIFT, Change, Evidence
 from service.storage.versions import Version
-from tests.service.conftest import add_spectra, flat_spectra, like
+from tests.service.conftest import add_spectra, flat_spectra, get_job, like
 
 PAGES = ("/", "/jobs", "/drift", "/alarms", "/models", "/stations/CS001", "/paths/CS001/0/X")
 
@@ -399,27 +399,27 @@ def test_tag_refit_stop_and_try_again_are_forms_too(visitor: TestClient, factory
     admit(visitor, factory, "admin")
     assert "The tag paper names what the ledger says now, for good." in act(visitor, "tag", target="paper").text
     assert act(visitor, "tag", target="paper", sure="yes").status_code == 303
-    assert [tag.name for tag in factory.tags.after("", 10)] == ["paper"]
+    assert [tag.name for tag in factory.database.look(lambda stores: stores.tags.after("", 10))] == ["paper"]
     assert act(visitor, "tag", target="no name").status_code == 422
     window = {"since": "2014-01-01", "until": "2015-01-01", "scope": "antenna", "station": "CS001"}
     asked = act(visitor, "refit", **window, antenna="1", dipole="X", promote="yes")
     assert "Scope antenna of CS001 antenna 1 X is fitted over 2014-01-01 to 2015-01-01" in asked.text
-    assert factory.jobs.newest() == []
+    assert factory.database.look(lambda stores: stores.jobs.newest()) == []
     done = act(visitor, "refit", **window, antenna="1", dipole="X", promote="yes", sure="yes")
     assert done.headers["location"] == "/jobs"
-    (job,) = factory.jobs.newest()
+    (job,) = factory.database.look(lambda stores: stores.jobs.newest())
     assert {name: job.request[name] for name in ("antenna", "promote", "reason")} == {
         "antenna": 1, "promote": True, "reason": "snow lay on it",
     }  # fmt: skip
     assert act(visitor, "cancel", target=str(job.number), sure="yes").status_code == 303
-    assert factory.jobs.get(job.number).state == "cancelled"
+    assert get_job(factory, job.number).state == "cancelled"
     log = visitor.get(f"/jobs/{job.number}").text
     assert "cancelled by" in log
     assert "snow lay on it" in log
     assert f'<a href="/jobs/{job.number}">job {job.number}</a>' in visitor.get("/jobs").text
     assert visitor.get("/jobs/99").status_code == 404
     assert act(visitor, "retry", target=str(job.number), sure="yes").status_code == 303
-    again, _ = factory.jobs.newest()
+    again, _ = factory.database.look(lambda stores: stores.jobs.newest())
     assert again.request == {**job.request, "reason": "snow lay on it"}
 
 

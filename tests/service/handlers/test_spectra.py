@@ -177,7 +177,7 @@ def test_writing_needs_a_key_with_the_scope(client: TestClient, factory: Any) ->
     reader, writer = bearer(factory, "read", "refits:run"), bearer(factory, "spectra:write")
     assert client.post("/v1/spectra", json=body, headers=reader).status_code == 403
     assert client.post("/v1/spectra", json=body, headers=writer).status_code == 201
-    factory.keys.revoke(factory.keys.list()[-1].number)
+    factory.keys.revoke(factory.database.look(lambda stores: stores.keys.all())[-1].number)
     assert client.post("/v1/spectra", json=body, headers=writer).status_code == 401
 
 

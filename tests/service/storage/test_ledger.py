@@ -134,8 +134,8 @@ def test_the_neighbours_of_a_gap_are_those_of_brute_force(
     silent = [path for path in PATHS if brute_force(lines, path, instant, as_of) is None]
     by_scope = [scope for scope in SCOPES if not any(_answers_alone(lines, scope, instant, as_of))]
     with factory.database.read() as stores:
-        of_paths = stores.ledger.neighbours(silent, instant, as_of)
-        of_scopes = stores.ledger.neighbours_of_scopes(by_scope, instant, as_of)
+        of_paths = stores.ledger.neighbours({path: path.widening for path in silent}, instant, as_of)
+        of_scopes = stores.ledger.neighbours({scope: (scope,) for scope in by_scope}, instant, as_of)
     for path, found in of_paths.items():
         assert _plain(found) == brute_force_neighbours(lines, path, instant, as_of)
     for scope, found in of_scopes.items():

@@ -21,14 +21,14 @@ from service.storage.database import Stores
 from service.storage.drift import PathMonths
 from service.storage.jobs import Order
 from service.storage.sums import Sums
-from service.storage.versions import Version
+from service.storage.versions import MeanC, Version
 from service.usecases.drift import (
+    VersionPoint,
     explain_version,
     keep_months,
     read_months,
     start_of_year,
     summarise,
-    tell_story,
 )
 from service.usecases.drift_measurement import KIND
 from tests.service.conftest import add_spectra, flat_spectra, new_version, night, work
@@ -159,7 +159,8 @@ def test_the_array_is_never_told_from_months_that_a_station_had_before(measured_
 
 
 def test_a_year_of_the_matrix_holds_every_path_beside_the_median(measured_of_months: Factory) -> None:
-    first, second = (json.loads(year) for year in measured_of_months.drift.matrix("CS001"))
+    kept = measured_of_months.database.look(lambda stores: stores.drift.years(["CS001"]))
+    first, second = (json.loads(str(one.matrix)) for one in kept)
     assert first["paths"] == [[a, d] for a in range(3) for d in "XY"]
     assert (first["months"][0], second["months"][0], np.shape(second["values"])) == ("2014-01", "2015-01", (6, 11))
     assert np.median(first["values"], axis=0) == pytest.approx(np.zeros(11), abs=1e-6)
@@ -188,8 +189,10 @@ def test_the_cables_of_other_antennas_are_told_with_what_they_do() -> None:
     other = _made("other", range(5), 1.0)
     longer = {d: replace(chain, mean_loss=np.full(4, 0.81)) for d, chain in other.chains.items()}
     curves = tuple(replace(one, c=one.c / 0.9) for one in other.curves if one.c is not None)
-    told = tell_story(replace(other, chains=longer, curves=curves), first, "X")
-    assert told.words == "other antennas (0 left out, 1 more), whose cables change C by +11.1 %"
+    versions = first, replace(other, chains=longer, curves=curves)
+    means = [MeanC(one.id, one.scope, "X", k, k + 1, 1, 1.0, 0.1) for k, one in enumerate(versions)]
+    _, told = VersionPoint.of(means, {one.id: one for one in versions})
+    assert told.why == "other antennas (0 left out, 1 more), whose cables change C by +11.1 %"
     assert told.change == pytest.approx(0.0, abs=1e-12), "which is taken out of what is told and plotted"
 
 

@@ -66,12 +66,11 @@ def test_the_same_spectra_read_again_have_the_fit_of_their_causes_once(spectra: 
         lambda spectra: {"spectra": hotter(spectra)},
         lambda spectra: {"spectra": louder(spectra)},
         lambda _: {"model": Model((replace(LATE, is_free=False),))},
-        lambda _: {"are_sizes_known": True},
     ],
-    ids=["a temperature", "a power", "the model", "whether sizes are known"],
+    ids=["a temperature", "a power", "the model"],
 )
 def test_a_fit_of_other_input_is_another(change: Any, spectra: Spectra, fits: Fits) -> None:
-    asked = {"spectra": spectra, "model": Model((LATE,)), "are_sizes_known": False}
+    asked = {"spectra": spectra, "model": Model((LATE,))}
     first = fits.fit_causes(**asked)
     other = fits.fit_causes(**{**asked, **change(spectra)})
     assert other is not first

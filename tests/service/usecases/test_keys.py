@@ -51,7 +51,7 @@ def test_a_wrong_header_is_refused_also_for_reads(factory: Factory, header: str)
 def test_a_key_was_a_number_without_a_name(factory: Factory) -> None:
     _, key = factory.keys.create(("read",), name="pipeline of CS002")
     assert factory.keys.require(f"Bearer {key}", "read").name == "key 1 (pipeline of CS002)"
-    assert [kept.name for kept in factory.keys.list()] == ["pipeline of CS002"]
+    assert [kept.name for kept in factory.database.look(lambda stores: stores.keys.all())] == ["pipeline of CS002"]
 
 
 @pytest.mark.parametrize("name", ["", " ", "a\nb", "x" * 61])

@@ -159,8 +159,8 @@ def test_tags_and_promotions_at_once_never_change_what_was_frozen(factory: Facto
         for done in promoters:
             done.result()
     assert {name: answer(factory, name) for name in seen} == seen
-    assert [tag.name for tag in factory.tags.after("", 100)] == sorted(seen)
-    assert [tag.name for tag in factory.tags.after("t0-3", 2)] == ["t0-4", "t0-5"]
+    assert [tag.name for tag in factory.database.look(lambda stores: stores.tags.after("", 100))] == sorted(seen)
+    assert [tag.name for tag in factory.database.look(lambda stores: stores.tags.after("t0-3", 2))] == ["t0-4", "t0-5"]
 
 
 @given(st.lists(st.tuples(st.sampled_from(["tag", "path", "other", "withdraw"]), st.integers(-40, 40)), max_size=12))

@@ -19,7 +19,7 @@ from service.schema.tables import calibration, spectrum
 from service.storage.jobs import Job
 from service.storage.versions import Examined
 from service.wire.bodies import PromotionBody
-from tests.service.conftest import add_spectra, like, night, refit
+from tests.service.conftest import add_spectra, get_version, like, night, refit
 
 
 @pytest.fixture
@@ -53,7 +53,7 @@ def test_one_bad_spectrum_stopped_array_station_and_path_for_the_year(
         clean = {c.name: c for c in fit_calibration(
             campaign.select(window), bare.simulation, scope).curves}  # fmt: skip
         for name in result["calibrations"]:
-            version = bare.calibrations.get(name)
+            version = get_version(bare, name)
             of_path = version.scope.key in ("array", "CS002", "CS002/2/X")
             named = [(one.event_id, one.path) for one in version.anomalies.worst]
             assert named == ([(str(campaign.event_id[row]), "CS002/2/X")] if of_path else []), scope
@@ -83,7 +83,7 @@ def test_what_was_left_out_is_shown_and_stays_in_the_database(bare: Factory, cam
     row = int(np.flatnonzero((campaign.antenna == 1) & (campaign.dipole == "Y"))[5])
     name = str(campaign.event_id[row])
     add_spectra(bare, spoil(campaign, row, 50.0))
-    version = bare.calibrations.get(refit(bare, "station").results[0]["calibrations"][0])
+    version = get_version(bare, refit(bare, "station").results[0]["calibrations"][0])
     assert (version.anomalies.left_out, version.anomalies.worst[0].event_id) == (1, name)
     with bare.database.read() as stores:
         stored = stores.spectra.event(name)
@@ -143,7 +143,7 @@ def test_a_channel_without_a_value_made_the_night_fail_on_sqlite_and_was_kept_fo
     assert [(job.state, job.errors) for job in jobs] == [("done", ())] * 3
     (of_paths,) = (job.results[0] for job in jobs if job.request["scope"] == "antenna")
     assert in_effect not in of_paths["promoted"]
-    made = [after_night.calibrations.get(name) for name in of_paths["promoted"]]
+    made = [get_version(after_night, name) for name in of_paths["promoted"]]
     assert path in [version.scope for version in made], "a channel that got its value is news"
 
 
@@ -159,8 +159,7 @@ def test_what_was_examined_confirms_the_version_in_effect(after_night: Factory, 
         assert isinstance(one, Examined)
         assert 0 <= one.shift < 0.25
         assert one.inputs != one.calibration
-        version, _, confirmed = after_night.calibrations.get_with_promotions(one.calibration)
-        assert confirmed == one
+        version = get_version(after_night, one.calibration)
         assert (version.scope, version.window) == (one.scope, (one.since, one.until))
     assert {one.scope.station for one in found if one} <= {None, "CS002"}
 
@@ -357,15 +356,15 @@ def test_a_path_that_moves_is_fitted_by_itself_with_the_budget_of_its_station(ye
     add_spectra(year, replace(new, power=new.power * louder))
     before = kept(year)
     results = refit_by_night(year)
-    (name,) = (one for one in results["antenna"]["promoted"] if year.calibrations.get(one).scope.key == "CS002/3/Y")
+    (name,) = (one for one in results["antenna"]["promoted"] if get_version(year, one).scope.key == "CS002/3/Y")
     assert len(results["antenna"]["promoted"]) + results["antenna"]["examined"] == 8
     assert kept(year)["antenna"] == before["antenna"]
-    version = year.calibrations.get(name)
+    version = get_version(year, name)
     with year.database.read() as stores:
         assert version.inputs["budget"] == version.curves[0].covariance.budget
         assert stores.budgets.get_many([version.inputs["budget"]])
     again = refit(year, "antenna", promote=False).results[0]
-    made = [year.calibrations.get(one) for one in again["calibrations"]]
+    made = [get_version(year, one) for one in again["calibrations"]]
     whole = next(one for one in made if one.scope == version.scope)
     np.testing.assert_allclose(whole.curves[0].c, version.curves[0].c, rtol=1e-9)  # sums in another order
     np.testing.assert_allclose(whole.curves[0].c_sigma_sys, version.curves[0].c_sigma_sys, rtol=0.05)

@@ -37,7 +37,7 @@ from service.usecases.watch import KIND as WATCH
 from service.usecases.watch import read_changes, settle_changes, tell_news
 from service.usecases.windows import share_misfits
 from service.wire.bodies import InvestigationBody, ReasonBody
-from tests.service.conftest import night, refit, served, work
+from tests.service.conftest import get_job, night, refit, served, work
 
 BEGIN = parse_instant("", "2015-01-01")
 OPEN_ALARMS = AlarmsAsked(("open",), 100)
@@ -93,7 +93,7 @@ def in_effect(factory: Factory, path: Scope) -> list[Version]:
 @pytest.mark.long
 def test_a_step_and_a_swapped_cable_end_as_a_change_point_and_a_new_window(watched: Factory) -> None:
     watch_night(watched)
-    jobs = [job for job in reversed(watched.jobs.newest()) if job.state == "done"]
+    jobs = [job for job in reversed(watched.database.look(lambda stores: stores.jobs.newest())) if job.state == "done"]
     kinds = [job.kind for job in jobs]
     after = [job for job in jobs[kinds.index("watch") :] if job.kind == "refit"]
     assert {job.request["since"] for job in after if "changed on" in job.reason} == {BEGIN}, "the year of the changes"
@@ -398,9 +398,9 @@ def test_an_investigation_leaves_out_the_antenna_whose_cable_changed(with_change
     body = InvestigationBody.model_validate({**YEAR, "station": "CS002", "reason": "test"})
     number = factory.investigations.request(body, "test")
     work(factory)
-    job = factory.jobs.get(number)
+    job = get_job(factory, number)
     assert job.state == "done", job.errors
-    report = factory.investigations.get(job.results[0]["results"][0]).report
+    report = factory.database.look(lambda stores: stores.investigations.get(job.results[0]["results"][0])).report
     # the step was planted in the antenna that is left out
     assert "gain_step" not in [finding["cause"] for finding in report["findings"]]
 
