@@ -425,6 +425,10 @@ class Cause(Description):
         """The template with the factor 1 in every channel."""
         return template
 
+    def split_factor(self, conditions: Conditions, template: Template) -> tuple[Template, Floats | float]:  # noqa: ARG002
+        """A template and what its spectral template is multiplied by to give this one's, as shape (class, 1, freq)."""
+        return template, 1.0
+
     def known_events(self, conditions: Conditions, template: Template) -> NDArray[np.bool_]:
         """Events on which every covariate of the template is known, shape (event,)."""
         return conditions.known_events(*self.covariates(template))
@@ -442,3 +446,18 @@ def spectral_signature(cause: Cause, terms: ChainTerms, conditions: Conditions, 
     above = cause.act(terms, conditions, template, np.array(cause.step)).power()
     below = cause.act(terms, conditions, template, np.array(-cause.step)).power()
     return np.asarray((above - below) / (cause.step * (above + below)))
+
+
+def spectral_signatures(
+    cause: Cause, terms: ChainTerms, conditions: Conditions, templates: Sequence[Template]
+) -> Floats:
+    """`spectral_signature` of templates, shape (template, class, event, freq), once for those that differ by a law."""
+    made: dict[tuple[Any, ...], Floats] = {}
+    found = []
+    for template in templates:
+        plain, law = cause.split_factor(conditions, template)
+        key = cause.spectral_key(plain)
+        if key not in made:
+            made[key] = spectral_signature(cause, terms, conditions, plain)
+        found.append(law * made[key])
+    return np.stack(found)

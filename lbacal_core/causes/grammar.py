@@ -609,6 +609,11 @@ class Sentence(Cause):
         change = amount * law_of(conditions, _as_form(template.parameters["law"]))
         return PLACES[template.parameters["place"]].act(terms, conditions, change)
 
+    def split_factor(self, conditions: Conditions, template: Template) -> tuple[Template, Floats]:
+        """The same place alike at all frequencies, and the law: recorded power is linear in what a place changes."""
+        place, law, course = parts_of(template)
+        return sentence(place, ("flat",), course), law_of(conditions, law)
+
     def finer_templates(self, conditions: Conditions, template: Template) -> list[Template]:
         """Other numbers of its law, and of its course."""
         place, law, course = parts_of(template)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.causes.cause import Cause, Conditions, Template, spectral_signature
+from lbacal_core.causes.cause import Cause, Conditions, Template, spectral_signatures
 from lbacal_core.discovery.hypothesis import Hypothesis, Target, p_of, significance, trials_factor
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
@@ -115,7 +115,7 @@ class FamilySpectra:
         first = [one.templates[0] for one in batch]
         factors = [factor for one in first if (factor := cause.factor(conditions, one)) is not None]
         shown = [cause.flat(first[0])] if factors else first
-        values = np.stack([spectral_signature(cause, model.terms, conditions, one) for one in shown])
+        values = spectral_signatures(cause, model.terms, conditions, shown)
         return cls(values, np.stack(factors) if factors else None)
 
     @property

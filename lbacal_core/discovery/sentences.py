@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 
@@ -90,20 +90,25 @@ def score_sentences(
     """The best course for every place and law, with its target; of `choices`, where that was chosen before."""
     conditions, found = model.station.conditions, list[ScoredSentence]()
     length = Lengths(conditions, max(len(targets), choices))
-    by_columns: dict[tuple[str, ...], list[Form]] = {}
+    by_events: dict[bytes, dict[tuple[str, ...], list[Form]]] = {}
     for course in courses:
-        by_columns.setdefault(columns_of(course), []).append(course)
-    for alike in by_columns.values():
+        columns = columns_of(course)
+        on_events = by_events.setdefault(conditions.known_events(*columns).tobytes(), {})
+        on_events.setdefault(columns, []).append(course)
+    for by_columns in by_events.values():
+        alike = [one for own in by_columns.values() for one in own]
         profiles = np.stack([course_of(conditions, one) for one in alike])
         families = [
             SpectralFamily(SENTENCE, [sentence(place, law, one) for one in alike], profiles) for place, law in spectra
         ]
         known = model.on_events(families[0].known_events(conditions))
         of_course = np.array([length.temporal(one) for one in alike])
+        ends = np.cumsum([0, *(len(own) for own in by_columns.values())]).tolist()
         for batch, z, size in _scores(known, families, targets):
-            for s, family in enumerate(batch):
-                worth = z[s] ** 2 - of_course
-                t, k = (int(at) for at in np.unravel_index(int(np.argmax(worth)), worth.shape))
+            for (s, family), (begin, end) in product(enumerate(batch), pairwise(ends)):
+                worth = z[s, :, begin:end] ** 2 - of_course[begin:end]
+                t, at = (int(one) for one in np.unravel_index(int(np.argmax(worth)), worth.shape))
+                k = begin + at
                 template, own = family.templates[k], (float(z[s, t, k]), float(size[s, t, k]))
                 whole = float(of_course[k] + length.spectral(parts_of(template)[1]))
                 found.append(ScoredSentence(template, targets[t], *own, whole))

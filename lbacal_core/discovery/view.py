@@ -127,8 +127,12 @@ class FreeVectors:
         """Products with the free vectors summed over weighted events, weights (set, event) -> (..., set, vector)."""
         waves = np.empty((*along.free.shape[:-2], len(weight), len(self._wave_profiles)))
         for own, of_spectrum in zip(self._waves_of, np.moveaxis(along.waves, -1, 0), strict=True):
-            profiles = (weight[:, None] * self._wave_profiles[own]).reshape(-1, weight.shape[1])
-            waves[..., own] = (of_spectrum @ profiles.T).reshape(*waves.shape[:-1], own.size)
+            if of_spectrum.size < weight.size:  # the profiles of the waves go with the fewer numbers
+                by_wave = of_spectrum[..., None, :] * self._wave_profiles[own] @ weight.T
+                waves[..., own] = np.swapaxes(by_wave, -1, -2)
+            else:
+                profiles = (weight[:, None] * self._wave_profiles[own]).reshape(-1, weight.shape[1])
+                waves[..., own] = (of_spectrum @ profiles.T).reshape(*waves.shape[:-1], own.size)
         return np.concatenate([weight @ along.free, waves], axis=-1)
 
     def described(self, amounts: Floats) -> Floats:

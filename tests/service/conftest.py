@@ -10,7 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,7 @@ from fastapi.testclient import TestClient
 from lbacal_core.curves.curves import CONVERGED, CalibrationCurve
 from lbacal_core.curves.validity import Scope
 from lbacal_core.instrument.instrument import Instrument, load_instrument
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.power import compute_sky_power
 from lbacal_core.sky.table import read_sky_power, write_sky_power
 from lbacal_core.spectra.spectra import Spectra
@@ -312,8 +313,16 @@ def three_cables(superterp: Instrument, sky_power_file: Path) -> Campaign:
     return simulate_campaign(settings, superterp, read_sky_power(sky_power_file), np.random.default_rng(3))
 
 
+@pytest.fixture(scope="session")
+def simulations() -> dict[tuple[str, Any], Simulation]:
+    """By what they predict and their own causes: what they remember of the campaign is computed once."""
+    return {}
+
+
 @pytest.fixture
-def make_service(database_url: str, sky_power_file: Path, clock: Clock) -> Iterator[Callable[..., Factory]]:
+def make_service(
+    database_url: str, sky_power_file: Path, clock: Clock, simulations: dict[tuple[str, Any], Simulation]
+) -> Iterator[Callable[..., Factory]]:
     """Makes services of one database and one sky power, which hold spectra and are closed in the end."""
     made: list[Factory] = []
 
@@ -321,6 +330,8 @@ def make_service(database_url: str, sky_power_file: Path, clock: Clock) -> Itera
         # an investigation of a year takes seconds: usecases/test_investigations.py looks at the nightly ones
         quick = {"poll_s": 0.01, "nightly_investigations": False, "sky_power": sky_power_file, **more}
         made.append(Factory(Settings(database_url=database_url, **quick), clock))
+        key = made[-1].simulation.digest, made[-1].settings.causes
+        made[-1].simulation = simulations.setdefault(key, replace(made[-1].simulation, most_remembered=64))
         if spectra is not None:
             add_spectra(made[-1], spectra)
         return made[-1]
