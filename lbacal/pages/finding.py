@@ -25,22 +25,28 @@ def draw_finding(finding: Mapping[str, Any]) -> dict[str, Chart]:
         return {}
     if "against" in picture:
         return {"against": _draw_against(picture["against"], cause)}
-    course = _draw_course(picture["course"], cause, "relative power, mean over channels (%)")
-    if "law" not in picture:  # an error of the record has no template
-        return {"course": course}
-    charts = {
-        "course": course,
-        "law": Chart(
-            f"{cause} along frequency", FREQUENCY, "relative power along that course (%)",
-            _compare(picture["law"]["frequency_mhz"], picture["law"], cause),
-        ),
-        **_draw_maps(picture["maps"], f"residuals of {finding['evidence']['target']}"),
-    }  # fmt: skip
+    charts = _draw_course_and_law(picture, cause)
+    if "law" not in charts:
+        return charts
+    charts |= _draw_maps(picture["maps"], f"residuals of {finding['evidence']['target']}")
     change, mhz = picture["change_of_c"], picture["law"]["frequency_mhz"]
     low, middle, high = (_percent(change[name]) for name in ("low", "median", "high"))
     series = [Series(BAND, mhz, low=low, high=high, name="68 % of its paths", colour=RED)]
     series.append(_hover(Series(LINE, mhz, middle, name="median", colour=RED), "MHz", "%"))
     return charts | {"change": Chart(f"change of C by {cause}", FREQUENCY, "change of C (%)", series)}
+
+
+def draw_sentence(sentence: Mapping[str, Any]) -> dict[str, Chart]:
+    """Course and law of a sentence; none where the report was made before it carried them."""
+    return _draw_course_and_law(sentence["picture"], "the sentence") if "picture" in sentence else {}
+
+
+def _draw_course_and_law(picture: Mapping[str, Any], name: str) -> dict[str, Chart]:
+    charts = {"course": _draw_course(picture["course"], name, "relative power, mean over channels (%)")}
+    if "law" in picture:  # an error of the record has no template
+        mhz, label = picture["law"]["frequency_mhz"], "relative power along that course (%)"
+        charts["law"] = Chart(f"{name} along frequency", FREQUENCY, label, _compare(mhz, picture["law"], name))
+    return charts
 
 
 def tell_finding(finding: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
@@ -164,6 +170,7 @@ def _hover(series: Series, x_unit: str, y_unit: str) -> Series:
 
 
 FILTERS: Mapping[str, Any] = {
-    "svg": draw_svg, "facts": tell_finding, "finding_figures": draw_finding, "station_figures": draw_station,
+    "svg": draw_svg, "facts": tell_finding, "finding_figures": draw_finding, "sentence_figures": draw_sentence,
+    "station_figures": draw_station,
 }  # fmt: skip
 """What `templates/findings.html` needs."""

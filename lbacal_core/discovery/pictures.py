@@ -17,7 +17,7 @@ from lbacal_core.audit.record import EXCHANGE, RecordError
 from lbacal_core.causes.axes import AXES, Axis, axis_named
 from lbacal_core.discovery.antennas import AntennaScore
 from lbacal_core.discovery.findings import Finding
-from lbacal_core.discovery.hypothesis import Target
+from lbacal_core.discovery.hypothesis import Hypothesis, Target
 from lbacal_core.discovery.refit import power_ratio, with_noise
 from lbacal_core.discovery.residual_structure import ResidualStructure
 from lbacal_core.discovery.search import StationReport
@@ -42,14 +42,25 @@ Picture = dict[str, Any]
 
 
 def picture_finding(report: StationReport, finding: Finding) -> Picture:
-    """Course along the main axis, law along frequency, residual maps before and after, and the change of C.
+    """Its course and law, residual maps before and after, and the change of C."""
+    one = finding.hypothesis
+    change = np.percentile(finding.calibration_change, [16, 50, 84], axis=0)
+    return {
+        **picture_hypothesis(report, one),
+        "maps": _picture_maps(report, one.target, _axes_of(report, one)),
+        "change_of_c": dict(zip(("low", "median", "high"), map(_told, change), strict=True)),
+    }
 
-    Course and law hold the measured power over the model without the finding, all else in it as fitted, beside what the
-    finding makes of that model. Relative to the model of before, whose gain is that of the mean over the window, both
-    would have other scales: points of a step of 15 % stood 0.7 % above the curve. What a finding does is close to one
-    profile of the events times one of the channels: each of the two is the projection on the other.
+
+def picture_hypothesis(report: StationReport, one: Hypothesis) -> Picture:
+    """Course along the main axis, and law along frequency; of a finding, or of a sentence that is not in the model.
+
+    Both hold the measured power over the model without it, all else as fitted, beside what it makes of that model.
+    Relative to the model of before, whose gain is that of the mean over the window, both would have other scales:
+    points of a step of 15 % stood 0.7 % above the curve. What a hypothesis does is close to one profile of the events
+    times one of the channels: each of the two is the projection on the other.
     """
-    one, effect, axes = finding.hypothesis, _effect(report, finding), _axes_of(report, finding)
+    effect = _effect(report, one)
     is_fitted = any(known is one for known in report.last.hypotheses)
     present = report.station.is_present[:, :, None]
     over_model = ((1.0 + report.last.baseline.residual) * (1.0 + effect * is_fitted) - 1.0) * present
@@ -59,8 +70,7 @@ def picture_finding(report: StationReport, finding: Finding) -> Picture:
     of_event, _, of_channel = np.linalg.svd(expected, full_matrices=False)
     sign = 1.0 if of_channel[0].sum() >= 0 else -1.0
     along, across = sign * of_channel[0] / np.sqrt(channels), sign * of_event[:, 0] / np.sqrt(events)
-    label, values = _values_on(report, axes[0]) or ("", np.zeros(events))
-    change = np.percentile(finding.calibration_change, [16, 50, 84], axis=0)
+    label, values = _values_on(report, _axes_of(report, one)[0]) or ("", np.zeros(events))
     return {
         "course": {
             "label": label, "at": _told(_centres(values)),
@@ -70,8 +80,6 @@ def picture_finding(report: StationReport, finding: Finding) -> Picture:
             "frequency_mhz": report.station.conditions.frequency_mhz.tolist(),
             **_told_points(across @ observed, np.std(observed - expected, axis=0) / np.sqrt(events), across @ expected),
         },
-        "maps": _picture_maps(report, one.target, axes),
-        "change_of_c": dict(zip(("low", "median", "high"), map(_told, change), strict=True)),
     }  # fmt: skip
 
 
@@ -175,9 +183,9 @@ def _told(values: Any) -> list[float | None]:
     return [float(f"{value:.{DIGITS}g}") if np.isfinite(value) else None for value in values]
 
 
-def _axes_of(report: StationReport, finding: Finding) -> list[Axis]:
+def _axes_of(report: StationReport, one: Hypothesis) -> list[Axis]:
     """Axes along which the template varies in these data, the strongest first."""
-    expected = _shown(_effect(report, finding), report, finding.hypothesis.target)
+    expected = _shown(_effect(report, one), report, one.target)
     variation: list[tuple[float, Axis]] = []
     for axis in (axis for axis in AXES if axis.name == axis.along):
         shown = _values_on(report, axis)
@@ -189,9 +197,9 @@ def _axes_of(report: StationReport, finding: Finding) -> list[Axis]:
     return [axis for strength, axis in variation if strength > WEAKEST_AXIS * variation[0][0]]
 
 
-def _effect(report: StationReport, finding: Finding) -> Floats:
-    """Relative change of the power by the finding beside all others, shape (path, event, freq); 0 where absent."""
-    last, one = report.last, finding.hypothesis
+def _effect(report: StationReport, one: Hypothesis) -> Floats:
+    """Relative change of the power by a hypothesis beside all others, shape (path, event, freq); 0 where absent."""
+    last = report.last
     terms = last.baseline.terms if last.noise is None else with_noise(report.station, last.baseline.terms, last.noise)
     others = [known for known in last.hypotheses if known is not one]
     ratio = power_ratio(report.station, terms, [*others, one]) / power_ratio(report.station, terms, others)

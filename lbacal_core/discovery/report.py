@@ -22,7 +22,13 @@ from lbacal_core.discovery.antennas import AntennaScore
 from lbacal_core.discovery.describe import Described, Description
 from lbacal_core.discovery.findings import Finding, change_of_c
 from lbacal_core.discovery.hypothesis import Target, sigma_of
-from lbacal_core.discovery.pictures import picture_antenna, picture_finding, picture_record, picture_station
+from lbacal_core.discovery.pictures import (
+    picture_antenna,
+    picture_finding,
+    picture_hypothesis,
+    picture_record,
+    picture_station,
+)
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.residual_structure import ResidualStructure
 from lbacal_core.discovery.scan import Score
@@ -409,6 +415,7 @@ def _sentence_of(one: Described, report: StationReport, first: Described) -> dic
         "odds_to_first": float(np.exp(one.log_odds - first.log_odds)),
         "gain": {"chi2": one.gain, "held_out_log_likelihood_gain": one.held_out_gain},
         "confirm": PLACES[place].confirm,
+        "picture": picture_hypothesis(report, hypothesis),
     }
 
 

@@ -225,7 +225,7 @@ def draw_life(life: Life, limits: tuple[float, float], span: Span, now: Instant)
         title = f"{cause.change.act}: {cause.changed.sentence}"
         add("causes", cause.change.since, cause.change.until, title, f"/models{q}", PURPLE)
     for alarm in life.alarms:
-        add("alarms", alarm.raised, alarm.ended or now, alarm.news.sentence, f"/alarms{q}", ORANGE)
+        add("alarms", alarm.news.since or alarm.raised, alarm.ended or now, alarm.news.sentence, f"/alarms{q}", ORANGE)
     for made in life.investigations:
         title = f"investigation of {_days(made.since, made.until)}: {made.report['verdict']}"
         add("investigations", made.since, made.until, title, f"/investigations/{made.id}{q}", INK)

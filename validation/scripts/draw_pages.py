@@ -15,24 +15,25 @@ from pathlib import Path
 import httpx2
 from playwright.sync_api import sync_playwright
 
+from validation.demo.service_run import AFTER, ANTENNA, DIPOLE, STATION
+
 IMAGES = Path(__file__).parents[2] / "docs/images"
-PATH, WIDTH, HEIGHT = "CS002/1/Y", 1100, 1400
+WIDTH, HEIGHT = 1100, 1400
 
 
 def list_pages(url: str) -> dict[str, str]:
     """Addresses by the names of their pictures."""
     with httpx2.Client(base_url=url) as client:
         made = client.get("/v1/investigations").json()["investigations"]
-        version, *_ = client.get("/v1/calibrations?scope=station").json()["calibrations"]
+        version, *_ = client.get("/v1/calibrations").json()["calibrations"]
     found = next((one for one in made if one["verdict"] != "consistent"), made[0])
     return {
         "overview": "/",
-        "station": "/stations/CS002",
-        "path": f"/paths/{PATH}?at=2015-03-01",
+        "station": f"/stations/{STATION}",
+        "path": f"/paths/{STATION}/{ANTENNA}/{DIPOLE}?at={AFTER}",
         "drift": "/drift",
         "finding": f"/investigations/{found['id']}",
         "calibration": f"/calibrations/{version['id']}",
-        "models": "/models",
         "jobs": "/jobs",
     }
 
@@ -43,7 +44,7 @@ def main(url: str) -> None:
         page = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
         for name, address in list_pages(url).items():
             page.goto(url + address)
-            page.screenshot(path=IMAGES / f"page-{name}.png")
+            page.screenshot(path=IMAGES / f"page-{name}.png", full_page=name == "overview")
             print(f"{name}: {address}")
         browser.close()
 

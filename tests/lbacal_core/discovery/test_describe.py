@@ -40,6 +40,10 @@ def test_noise_of_receivers_on_working_days_is_said_so_and_adopted(spoil, simula
     assert abs(first["size"]["value"] - 0.08) < 4 * first["size"]["sigma"]
     assert first["log_odds"] > CERTAIN
     assert first["gain"]["held_out_log_likelihood_gain"] > 0.4 * first["gain"]["chi2"]
+    law = first["picture"]["law"]
+    observed, sigma, expected = (np.array(law[name]) for name in ("observed", "sigma", "expected"))
+    scale = np.sum(observed * expected / sigma**2) / np.sum(expected**2 / sigma**2)
+    assert scale == pytest.approx(1.0, abs=0.2), "the picture shows what the sentence says, though it is in no model"
     assert left["remains"] is None
     assert "from Monday to Friday" in left["in_words"]
     model = Model.from_report(json.loads(json.dumps(report)), "unexplained")
