@@ -40,7 +40,7 @@ def test_the_page_of_an_investigation_was_silent_about_adopted_causes() -> None:
 )
 def test_the_page_of_the_drift_states_the_ageing_of_the_array_with_its_error(slope: float, said: str) -> None:
     trends = [("CS002", TREND), ("array", {**TREND, "slope": slope})]
-    page = render_part("drift_main.html", figure=Figure(EMPTY, ""), steps=[], rows=[], trends=trends, threshold=5.0)
+    page = render_part("drift_main.html", figure=Figure(EMPTY, ""), steps=[], points=[], trends=trends, threshold=5.0)
     assert f"C of the whole array changes by {100 * slope:+.2f} % &plusmn; 0.90 % a year over 7 years" in page
     assert f"({100 * slope:+.2f} % &plusmn; 2.20 % with 95 % confidence)" in page
     assert said in page
