@@ -259,25 +259,6 @@ def fit_adopted(
     return FittedSizes(replace(fitted, hypotheses=final), sizes, covariance)
 
 
-def take_adopted(station: Station, model: Model) -> tuple[ChainTerms, list[FittedSize], Floats]:
-    """The chains of a station's paths with the sizes of a model as they were adopted, none of them fitted.
-
-    Every cause must be one that these data showed: whether the chain describes it is not asked.
-
-    Returns
-    -------
-    The terms of the chains, the sizes, and their covariance, shape (size, size).
-    """
-    station = at_reference(station)
-    named = list_hypotheses(model, station)
-    for _, one in named:
-        station = station.on_events(one.cause.known_events(station.conditions, one.template))
-    terms = fit_baseline(station).terms
-    terms = fit_baseline(station, power_ratio(station, terms, [one for _, one in named])).terms
-    sizes = [FittedSize(one, one.size, one.sigma, is_fitted=False) for one, _ in named]
-    return terms, sizes, np.diag([one.sigma**2 for one in sizes])
-
-
 def is_seen(linear: LinearModel, hypothesis: Hypothesis) -> bool:
     """Whether anything of a hypothesis is left beside the free vectors of the chain."""
     conditions = linear.station.conditions

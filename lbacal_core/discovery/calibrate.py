@@ -38,7 +38,6 @@ from lbacal_core.discovery.adopted import (
     fit_adopted,
     gather_adopted,
     list_hypotheses,
-    take_adopted,
 )
 from lbacal_core.discovery.baseline import leave_out_deaf
 from lbacal_core.discovery.hypothesis import Hypothesis
@@ -161,21 +160,10 @@ class FittedCauses:
         unchanged = None if self.unchanged is None else self.unchanged[rows]
         return replace(self, recorded=self.recorded.select(rows), stations=stations, unchanged=unchanged)
 
-    def fit(
-        self,
-        scope: str,
-        without: Sequence[CalibrationCurve] = (),
-        beside: Sequence[Beside] = (),
-    ) -> FitReport:
+    def fit(self, scope: str, beside: Sequence[Beside] = ()) -> FitReport:
         """Calibrate with the model; parameters as in `fit_calibration`, which it is where no cause acts.
 
         The error of the sizes is in the statistical error of C, and common to all curves of a station.
-
-        Parameters
-        ----------
-        without
-            Where the model has one size, curves of these spectra without its cause, if they are at hand: what the error
-            of the size does to C is then taken in proportion to what the size does, which saves a fit.
         """
         report = fit_calibration(self.spectra, self.simulation, scope, beside)
         provenance = report.provenance.with_note(FORM_OF_CHAIN, str(self.form))
@@ -189,14 +177,11 @@ class FittedCauses:
             return report
         curves = list(report.curves)
         for number, one in enumerate(self.stations):
-            if without:
-                changes: list[Sequence[CalibrationCurve]] = [_move_in_proportion(report.curves, without, one.sizes[0])]
-            else:
-                plain = self.simulation.at_its_word()
-                changes = [
-                    fit_calibration(self._divide_out((number, k)), plain, scope, beside).curves
-                    for k in range(len(one.sizes))
-                ]
+            plain = self.simulation.at_its_word()
+            changes = [
+                fit_calibration(self._divide_out((number, k)), plain, scope, beside).curves
+                for k in range(len(one.sizes))
+            ]
             if changes:
                 curves = self._add_errors(curves, list(report.curves), changes, one)
         provenance = replace(
@@ -251,21 +236,6 @@ class FittedCauses:
         return tuple(describe_size(size) for size in self.sizes)
 
 
-def _move_in_proportion(
-    curves: Sequence[CalibrationCurve], without: Sequence[CalibrationCurve], size: FittedSize
-) -> list[CalibrationCurve]:
-    """Curves as they would be with a size moved by its standard deviation, from those at the size and those without."""
-    plain, share = {curve.owner: curve for curve in without}, size.sigma / size.value
-    moved = []
-    for curve in curves:
-        before = plain.get(curve.owner)
-        if curve.c is None or before is None or before.c is None:
-            moved.append(curve)
-        else:
-            moved.append(replace(curve, c=curve.c * (curve.filled(curve.c) / before.filled(before.c)) ** share))
-    return moved
-
-
 def _with_common(curve: CalibrationCurve, common: Floats) -> CalibrationCurve:
     """A curve with vectors of ln C, shape (vector, freq), one standard deviation each, in its statistical error."""
     if curve.c is None or curve.covariance is None:
@@ -299,7 +269,7 @@ def promise_of_structure(structure: Mapping[str, Any]) -> Promise:
     return Promise(0.5 * share**2 * found, share * found**0.5)
 
 
-def fit_causes(spectra: Spectra, simulation: Simulation, *, are_sizes_known: bool = False) -> FittedCauses:
+def fit_causes(spectra: Spectra, simulation: Simulation) -> FittedCauses:
     """Choose the form of the chain, and fit the sizes of causes, each to all paths of its target in the spectra.
 
     Parameters
@@ -309,11 +279,8 @@ def fit_causes(spectra: Spectra, simulation: Simulation, *, are_sizes_known: boo
         hardware changed in it is fitted as several (`calibration.windows.set_apart`).
     simulation
         Where its sky is its own, the differences between sky and antenna models are profiled out.
-    are_sizes_known
-        Whether all sizes are those of the model, found in these same spectra, so that none is fitted again.
     """
     found = []
-    sizes: Sequence[FittedSize]
     # The products are small: threads of the linear algebra would wait for each other.
     with threadpool_limits(1):
         steady = leave_out_changed(spectra, simulation.instrument) if len(spectra) else None
@@ -321,16 +288,13 @@ def fit_causes(spectra: Spectra, simulation: Simulation, *, are_sizes_known: boo
         simulation = simulation.with_form(form.name)
         apart, parts = set_apart(spectra, simulation.instrument)
         stations = gather_adopted(apart, replace(simulation, instrument=parts, given=simulation.sky_power))
-        known = simulation.differences if stations and not are_sizes_known else None
+        known = simulation.differences if stations else None
         for station in stations:
-            if are_sizes_known:
-                terms, sizes, covariance = take_adopted(station, simulation.causes)
-            else:
-                modes = None if known is None else model_modes(station, known)
-                fitted = fit_adopted(leave_out_deaf(station)[0], simulation.causes, modes)
-                terms, sizes, covariance = fitted.model.baseline.terms, fitted.sizes, fitted.covariance
-            if sizes:
-                found.append(_OfStation(at_reference(station), terms, sizes, covariance, *_places(apart, station)))
+            modes = None if known is None else model_modes(station, known)
+            fitted = fit_adopted(leave_out_deaf(station)[0], simulation.causes, modes)
+            if fitted.sizes:
+                of_fit = at_reference(station), fitted.model.baseline.terms, fitted.sizes, fitted.covariance
+                found.append(_OfStation(*of_fit, *_places(apart, station)))
     return FittedCauses(spectra, simulation, form, found)
 
 
