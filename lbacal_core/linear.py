@@ -13,7 +13,6 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dpotrf, dpotrs
 
 from lbacal_core.grids import Floats
 
@@ -88,6 +87,8 @@ def _factor_together(scaled: Floats, share: float) -> Factored:
 
 
 def _factor_each(scaled: Floats, share: float) -> Factored:
+    from scipy.linalg.lapack import dpotrf, dpotrs  # a fifth of a second to import: an API that answers does not
+
     shape, size = scaled.shape[:-2], scaled.shape[-1]
     # of a symmetric matrix the transpose is the one that LAPACK reads as it stands in memory
     found = [dpotrf(one.T, lower=1, clean=0) for one in scaled.reshape(-1, size, size)]
