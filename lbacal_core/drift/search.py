@@ -114,6 +114,8 @@ def search_series(series: Series, known_unix: Floats | None = None, false_alarms
         if not search.improve():
             break
     search.settle_medians()
+    while search.drop():  # what the settled medians leave below the threshold
+        search.fit()
     return search.report()
 
 
@@ -128,9 +130,10 @@ class _Search(SeriesModel):
 
     def improve(self) -> bool:
         """Drop, add, exchange terms or begin again, the first that changes anything; whether anything changed."""
-        return self._drop() or self._add() or self._exchange() or self._begin_again()
+        return self.drop() or self._add() or self._exchange() or self._begin_again()
 
-    def _drop(self) -> bool:
+    def drop(self) -> bool:
+        """Take out steps and slopes below the threshold; whether there were any."""
         steps, slopes = self.own_chi2()
         is_out = np.isfinite(self.terms.dates) & ~self.terms.is_known & (steps < self.cut)
         no_slope = self.terms.has_slope & (slopes < self.cut)

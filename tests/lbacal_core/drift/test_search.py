@@ -45,6 +45,16 @@ def test_several_steps_of_one_path_are_found_with_their_dates():
     assert not np.any(np.isfinite(np.delete(found.terms.dates, 5, axis=0)))
 
 
+def test_a_step_that_settled_medians_left_below_the_threshold_was_told():
+    series = _draw(np.random.default_rng(29), series=8, years=2)
+    for path, size in ((1, 0.08), (2, 0.0085), (3, -0.0085), (4, 0.009)):
+        series.values[path, series.time_unix >= 1.2 * YEAR_S, 0] += size
+    found = search_series(series)
+    has_step = np.isfinite(found.terms.dates)
+    assert has_step[1].sum() == 1
+    assert np.all(found.step_significance[has_step] > found.threshold)
+
+
 def test_a_step_of_the_shape_alone_is_found():
     series = _draw(np.random.default_rng(3))
     series.values[5, series.time_unix >= 2.3 * YEAR_S, 1] += 0.01
