@@ -110,6 +110,7 @@ def draw_changes(changes: Sequence[KeptChange], span: Span, ends: Sequence[Insta
     instants = [*(one.change.date for one in changes), *(at for at in ends if at is not None)]
     low, high = min(instants, default=0) / SECOND_US, max(instants, default=0) / SECOND_US
     limits = span.limits or (low, high if high > low else low + 1.0)
+    series.append(Series(LINE, limits, (0.0, 0.0)))
     return Chart("changes of C", "date (UTC)", "change of C (%)", series, ("time", "linear"), limits)
 
 
