@@ -3,7 +3,8 @@
 A campaign is a year of one station of the Superterp, eight antennas, simulated by the twin; every second event is
 fitted. `events`: each of the others in each path is predicted at its own time, with the noise that was measured in the
 fitted ones; gains of events are each path's own, so that all are independent. `together`: antennas share a part of an
-event's gain, and the mean of the eight scatters as that of events drawn together does. Trials are campaigns.
+event's gain, and the mean of the eight scatters as that of events drawn together does. `one-trace`: one of the fitted
+events stands for all hours, as noise that was recorded once does. Trials are campaigns.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 
 import lbacal
 from lbacal_core.calibration.prediction import EventNoise, predict_path
+from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.blocks import split_into_blocks
 from lbacal_core.spectra.spectra import Spectra
@@ -81,6 +83,26 @@ def draw_station(seed: int) -> Row:
     return {"together": held / joint, "apart": held / alone, "common": common, "pair": pair, "of_pair": of_pair}
 
 
+def stand_one_trace_for_all(seed: int) -> Row:
+    """Largest error in an hour of LST of the band's mean power, dB: one recorded trace for all hours, and `predict`."""
+    found, rest = fit_every_second(OWN, seed)
+    held_out, recorded = split_into_blocks(rest)[0], split_into_blocks(found.spectra)[0]
+    curve = next(
+        one for one in found.report.curves if one.path == (held_out.station, held_out.antennas[0], held_out.dipole)
+    )
+    at, sky = curve.has_value, found.simulation.sky_at(held_out.station, held_out.dipole, held_out.time_unix)
+    events = np.flatnonzero(np.all(np.isfinite(recorded.power[0]), axis=1))
+    one_trace = recorded.power[0, np.random.default_rng(seed).choice(events)]
+    seen = held_out.power[0][:, at].mean(axis=1)
+    hour = local_sidereal_time(held_out.time_unix, superterp().at_station(held_out.station).longitude_deg).astype(int)
+    row: Row = {}
+    for name, expected in (("one_trace", one_trace[None]), ("predicted", found.simulation.power(curve, sky))):
+        ratio = seen / expected[:, at].mean(axis=1)
+        by_hour = [np.nanmean(ratio[hour == one]) for one in range(24)]
+        row[name] = round(float(np.nanmax(np.abs(10.0 * np.log10(by_hour)))), 3)
+    return row
+
+
 def judge_events(rows: Sequence[Row]) -> list[Found]:
     each = np.array([row["chi2"] for row in rows]).T
     events = sum(row["events"] for row in rows)
@@ -94,7 +116,12 @@ def judge_station(rows: Sequence[Row]) -> list[Found]:
     return [mean_of(name, np.array([row[name] for row in rows])) for name in ("together", "apart", "common")]
 
 
+def judge_one_trace(rows: Sequence[Row]) -> list[Found]:
+    return [mean_of(name, np.array([row[name] for row in rows])) for name in ("one_trace", "predicted")]
+
+
 PARTS = (
     Part("events", predict_events, judge_events, 24, headlines=("chi2",)),
     Part("together", draw_station, judge_station, 24),
+    Part("one-trace", stand_one_trace_for_all, judge_one_trace, 24),
 )

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from validation.machinery.records import verdicts_of
-from validation.prediction import draw_station, judge_events, predict_events
+from validation.prediction import draw_station, judge_events, predict_events, stand_one_trace_for_all
 
 pytestmark = pytest.mark.long
 
@@ -56,3 +56,9 @@ def test_measured_over_predicted_power_is_what_the_page_says(shared: Path, tmp_p
     x, y, old = (median[path] for path in (("CS011", "X"), ("CS011", "Y"), ("CS001", "Y")))
     assert f"is {x} and {y} in X and Y of CS011 in 2011 and {old} in a trace of CS001 of 2008" in page
     assert len(rows) == 5
+
+
+def test_one_trace_for_all_hours_loses_the_galaxy_by_hour() -> None:
+    row = stand_one_trace_for_all(8)
+    assert row["predicted"] < 0.3  # a fifth of an hour's 17 events, whose gains scatter by 5 %
+    assert row["one_trace"] > 0.5
