@@ -14,6 +14,7 @@ from lbacal.analysis.data import import_data
 from lbacal.analysis.instrument import Described, core_of
 from lbacal.analysis.result import Result
 from lbacal.pages.audit import draw_page, draw_station
+from lbacal.pages.report import list_origin
 from lbacal_core.audit.audit import AuditReport
 from lbacal_core.audit.audit import audit as audit_spectra
 from lbacal_core.audit.verdict import WRONG, Line
@@ -66,6 +67,9 @@ def audit(
     report = audit_spectra(spectra, core_of(instrument), sky, antenna)
     wrong = sum(line.verdict == WRONG for line in report.lines)
     rows = [(line.verdict, line.check, line.station, f"{line.sentence}{_odds(line)}") for line in report.lines]
+    core = core_of(instrument)
+    models = {"instrument": core.name, "sky": sky or "of the instrument", "antenna": antenna or "of the instrument"}
+    origin = [*list_origin(name, time_unix=spectra.time_unix), *models.items()]
     return Audit(
         title=f"{name}: {f'{wrong} wrong' if wrong else 'nothing wrong'}",
         rows=[COLUMNS, *rows],
@@ -77,7 +81,7 @@ def audit(
         charts=lambda: chain.from_iterable(map(draw_station, report.stations)),
         as_table=lambda: QTable(rows=[list(row) for row in rows], names=COLUMNS, dtype=[str] * len(COLUMNS)),
         as_dict=report.as_dict,
-        page=partial(draw_page, report, name),
+        page=partial(draw_page, report, origin),
         report=report,
     )
 

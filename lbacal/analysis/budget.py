@@ -16,6 +16,7 @@ from lbacal.analysis.data import spectra_of
 from lbacal.analysis.instrument import Described, simulation_of
 from lbacal.analysis.result import Result
 from lbacal.pages.budget import describe_best, draw_budget, tabulate
+from lbacal.pages.report import Origin, list_origin
 from lbacal.with_model import Extended, read_open_terms
 from lbacal_core.calibration.budget import compute_budget, measure_electronics
 from lbacal_core.calibration.chain_form import compare_forms
@@ -34,7 +35,7 @@ class ErrorBudget(Result):
     terms: Sequence[BudgetTerm]
 
     @classmethod
-    def of(cls, shared: Budget, terms: Sequence[BudgetTerm]) -> Self:
+    def of(cls, shared: Budget, terms: Sequence[BudgetTerm], origin: Origin = ()) -> Self:
         """Make the result of these terms."""
         nu = shared.frequency_mhz
         of_gain = ["C/|H| has no error of the antenna gain."] if any(term.is_of_gain for term in terms) else []
@@ -45,6 +46,7 @@ class ErrorBudget(Result):
             charts=partial(draw_budget, shared, terms),
             as_table=partial(_list_sigmas, nu, terms),
             as_dict=lambda: {shared.digest: shared.as_dict()},
+            origin=origin,
             shared=shared,
             terms=terms,
         )
@@ -91,4 +93,4 @@ def budget(
     terms = [*shared.terms, *([] if of_antennas is None else [of_antennas])]
     members = sorted(set(zip(measured.station.tolist(), measured.antenna.tolist(), strict=True)))
     terms += [one.for_mean_of(members, terms[0].vectors) for one in read_open_terms(left_open, "left_open")]
-    return ErrorBudget.of(shared, terms)
+    return ErrorBudget.of(shared, terms, list_origin(measured.origin, simulation, measured.time_unix))

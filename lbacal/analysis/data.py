@@ -84,6 +84,7 @@ class BackgroundSpectra(Spectra):
             ],
             words=2,
             notes=self.notes,
+            origin=[("file", self.origin)],
             charts=lambda: [_draw_powers(self.frequency_mhz, powers)],
             more=dict.fromkeys(SUFFIXES, partial(write_spectra, self)),
         )

@@ -19,6 +19,7 @@ from lbacal.curve_table import CurveTable
 from lbacal.pages.chart import Chart
 from lbacal.pages.fit import average_residuals, draw_c, draw_fit, draw_page
 from lbacal.pages.fit_summary import describe_error, explain_chi2, tabulate_curves
+from lbacal.pages.report import list_origin
 from lbacal.with_model import Extended, read_model, read_open_terms
 from lbacal_core.audit.audit import audit_quickly
 from lbacal_core.calibration.left_open import widen_by_open_terms
@@ -154,6 +155,7 @@ def fit(
     def draw() -> list[Chart]:
         return draw_fit(report, average_residuals(measured, report.curves, seen), seen)
 
+    origin = list_origin(measured.origin, simulation, measured.time_unix, report.provenance.as_dict())
     return Calibration(
         title=f"{simulation.instrument.name}: {counted} of {len(report.curves)} curves converged",
         rows=tabulate_curves(report.curves),
@@ -163,7 +165,7 @@ def fit(
         columns=len({curve.dipole for curve in report.curves}),
         as_dict=content,
         as_table=lambda: make_table(dict(content())),
-        page=lambda: draw_page(report, draw(), measured.origin, sentences),
+        page=lambda: draw_page(report, draw(), origin, sentences),
         more={suffix: partial(_write_curves, content, kind) for suffix, kind in FORMATS.items()},
         fallback=".ecsv",
         report=report,

@@ -19,6 +19,7 @@ from lbacal.pages.chart import Chart
 from lbacal.pages.curve import draw_change, draw_curve, draw_curve_page, draw_ranking
 from lbacal.pages.finding import draw_finding, draw_scores
 from lbacal.pages.investigation import draw_page
+from lbacal.pages.report import list_origin
 from lbacal.settings import judge
 from lbacal.with_model import Extended, read_model
 from lbacal_core.audit.audit import audit_quickly
@@ -142,7 +143,8 @@ def investigate(
     content["provenance"]["notes"]["audit"] = audited.sentence
     content = add_left_open(content, stations)
 
-    page = partial(draw_page, content, measured.origin, simulation.instrument.name)
+    origin = list_origin(measured.origin, simulation, measured.time_unix, content["provenance"])
+    page = partial(draw_page, content, origin)
     figures = Figures(
         lambda: map(draw_scores, content["scores"].values()), page, lambda one: draw_finding(one).values()
     )
@@ -157,7 +159,9 @@ def _investigate_curve(curve: LstCurve, simulation: Simulation, band_mhz: tuple[
     content = describe_curve(found, Provenance(inputs, settings))
     figures = Figures(
         charts=lambda: [*draw_curve(found), draw_ranking(found), *draw_change(found)],
-        page=partial(draw_curve_page, content, found),
+        page=partial(
+            draw_curve_page, content, found, list_origin(curve.origin, simulation, provenance=content["provenance"])
+        ),
         of_finding=lambda _: draw_change(found),
     )
     return _make(curve.origin, content, simulation, figures)

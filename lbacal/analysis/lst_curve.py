@@ -14,6 +14,7 @@ from lbacal.analysis.instrument import Described, simulation_of
 from lbacal.analysis.result import Result
 from lbacal.chain import convert_number
 from lbacal.pages.curve import draw_comparison
+from lbacal.pages.report import list_origin
 from lbacal_core.data.lofar import DIPOLES, SUPERTERP
 from lbacal_core.lstcurve.curve import BAND_MHZ, Comparison, LstCurve, compare_lst_curve, read_lst_curve
 from lbacal_core.sky.table import SkyPower
@@ -65,6 +66,7 @@ def lst_curve(
         ],
         words=2,
         charts=partial(draw_comparison, found, simulation),
+        origin=list_origin(measured.origin, simulation, provenance=found.provenance.as_dict()),
         as_table=partial(_list_points, found),
         as_dict=found.as_dict,
         comparison=found,

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from astropy.table import QTable
     from matplotlib.figure import Figure
 
+    from lbacal.pages.report import Origin
+
 Row = Sequence[str]
 Writer = Callable[[Path], object]
 IMAGES = (".png", ".pdf", ".svg")
@@ -49,6 +51,8 @@ class Result:
         How many of the charts stand beside each other in a figure.
     as_table, as_dict, page
         Make a table of its numbers, with units; its content as JSON values; an HTML page. None where there is none.
+    origin
+        What it was made from, by name.
     more
         What writes it in further formats, by the end of a name.
     fallback
@@ -66,6 +70,7 @@ class Result:
     as_table: Callable[[], QTable] | None = None
     as_dict: Callable[[], Mapping[str, Any]] | None = None
     page: Callable[[], str] | None = None
+    origin: Origin = ()
     more: Mapping[str, Writer] = field(default_factory=dict)
     fallback: str = ".json"
 
@@ -112,7 +117,7 @@ class Result:
     def _write_page(self, path: Path) -> None:
         from lbacal.pages.report import fill_report
 
-        own: dict[str, Any] = {"title": self.title, "rows": self.rows, "notes": self.notes}
+        own: dict[str, Any] = {"title": self.title, "rows": self.rows, "notes": self.notes, "made_from": self.origin}
         page = self.page() if self.page else fill_report("result.html", **own, charts=self.charts())
         path.write_text(page, encoding="utf-8")
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from lbacal.pages.chart import BAND, IMAGE, INK, LINE, OF_DIPOLE, Chart, Series
 from lbacal.pages.curves import FREQUENCY
-from lbacal.pages.report import fill_report
+from lbacal.pages.report import Origin, fill_report
 from lbacal_core.audit.antennas import compare_paths
 from lbacal_core.audit.audit import AuditReport
 from lbacal_core.audit.station import AuditedStation
@@ -19,14 +19,21 @@ DECIBELS = 10 / np.log(10)
 FOR_AXIS, ROW = 70, 16
 
 
-def draw_page(report: AuditReport, source: str) -> str:
+def draw_page(report: AuditReport, origin: Origin) -> str:
     """Draw the report as HTML."""
     stations = [
         {"name": station.name, "charts": list(draw_station(station)), "hours": station.hours}
         for station in report.stations
     ]
     lines = [line.as_dict() for line in report.lines]
-    return fill_report("audit.html", source=source, healthy=report.is_healthy, lines=lines, stations=stations)
+    return fill_report(
+        "audit.html",
+        source=dict(origin)["file"],
+        healthy=report.is_healthy,
+        lines=lines,
+        stations=stations,
+        made_from=origin,
+    )
 
 
 def draw_station(station: AuditedStation) -> Iterator[Chart]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from lbacal.pages.chart import BAND, BARS, BLUE, GREEN, INK, LINE, MARK, OF_DIPOLE, ORANGE, POINTS, RED, Chart, Series
 from lbacal.pages.curves import FREQUENCY, PERCENT
-from lbacal.pages.report import fill_report
+from lbacal.pages.report import Origin, fill_report
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.discovery.curve_fit import CurveFit
 from lbacal_core.discovery.curve_search import CurveInvestigation
@@ -150,7 +150,9 @@ def _spread(found: CurveInvestigation, name: str) -> float:
     return float(np.sqrt(sum(variance.values()) if name == "X - Y" else variance[name]))
 
 
-def draw_curve_page(content: dict[str, Any], found: CurveInvestigation) -> str:
+def draw_curve_page(content: dict[str, Any], found: CurveInvestigation, origin: Origin) -> str:
     """The report of `lbacal_core.discovery.curve_search.describe_curve` as a page."""
     curve, change = list(draw_curve(found)), list(draw_change(found))
-    return fill_report("curve.html", report=content, curve=curve, ranking=[draw_ranking(found)], change=change)
+    return fill_report(
+        "curve.html", report=content, curve=curve, ranking=[draw_ranking(found)], change=change, made_from=origin
+    )

@@ -20,7 +20,7 @@ from lbacal.pages.curves import (
     limit_residuals,
 )
 from lbacal.pages.fit_summary import MOST_ROWS, explain_chi2, tabulate_curves
-from lbacal.pages.report import fill_report
+from lbacal.pages.report import Origin, fill_report
 from lbacal_core.calibration.budget import largest_chi2_per_dof
 from lbacal_core.calibration.one_event import map_departures
 from lbacal_core.curves.covariance import Budget
@@ -32,7 +32,7 @@ from lbacal_core.spectra.blocks import iterate_blocks
 from lbacal_core.spectra.spectra import Spectra
 
 
-def draw_page(report: FitReport, charts: Sequence[Chart], source: str, sentences: Sequence[str]) -> str:
+def draw_page(report: FitReport, charts: Sequence[Chart], origin: Origin, sentences: Sequence[str]) -> str:
     """Draw the report as one HTML file.
 
     Parameters
@@ -48,7 +48,7 @@ def draw_page(report: FitReport, charts: Sequence[Chart], source: str, sentences
     ]  # fmt: skip
     return fill_report(
         "fit.html",
-        source=source,
+        source=dict(origin)["file"],
         sentences=list(sentences),
         header=rows[0],
         rows=rows[1:],
@@ -57,8 +57,7 @@ def draw_page(report: FitReport, charts: Sequence[Chart], source: str, sentences
         charts=charts,
         budgets=[draw_terms(budget) for budget in report.budgets.values()],
         terms=[_describe_terms(budget) for budget in report.budgets.values()],
-        notes=report.provenance.notes,
-        inputs=report.provenance.inputs,
+        made_from=origin,
     )
 
 

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from importlib.metadata import version
 from typing import Any
 
+import numpy as np
 from jinja2 import ChoiceLoader, Environment, PackageLoader
 
 from lbacal.pages.finding import FILTERS
 from lbacal_core.errors import write_chance
+from lbacal_core.grids import Floats
+from lbacal_core.simulation.simulation import Simulation
+
+Origin = Sequence[tuple[str, str]]
+"""What a report was made from, by name."""
 
 
 def fill_report(template: str, package: str = "lbacal.pages", **content: Any) -> str:
@@ -16,3 +24,26 @@ def fill_report(template: str, package: str = "lbacal.pages", **content: Any) ->
     environment = Environment(loader=loader, autoescape=True)
     environment.filters |= {"chance": write_chance, **FILTERS}
     return environment.get_template(template).render(**content)
+
+
+def list_origin(
+    file: str,
+    simulation: Simulation | None = None,
+    time_unix: Floats | None = None,
+    provenance: Mapping[str, Any] | None = None,
+) -> Origin:
+    """File, dates, instrument, sky and version behind a report, with what its provenance says."""
+    stated = provenance or {}
+    rows = {"file": file}
+    if time_unix is not None and time_unix.size:
+        first, last = (np.datetime64(int(one), "s").item() for one in (time_unix.min(), time_unix.max()))
+        rows["dates"] = f"{first:%Y-%m-%d} to {last:%Y-%m-%d}"
+    if simulation is not None:
+        rows |= {
+            "instrument": simulation.instrument.name,
+            "sky_power": simulation.sky_power.note_for(simulation.instrument),
+        }
+    rows |= stated.get("notes", {})
+    rows |= {f"sha256 of {name}": digest for name, digest in stated.get("inputs", {}).items()}
+    rows |= {name: str(stated[name]) for name in ("model_version",) if name in stated}
+    return [*rows.items(), ("lbacal", str(stated.get("lbacal", version("lbacal"))))]

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import errno
 import json
+import re
 import subprocess
 import sys
 from importlib.metadata import version
@@ -149,7 +150,11 @@ def test_the_audit_prints_a_line_a_question_writes_report_and_page_and_exits_wit
     content = json.loads(report.read_text())
     assert content["healthy"] is False
     assert {line["check"] for line in content["lines"] if line["verdict"] == "wrong"} == {"dead"}
-    assert page.read_text().count("data:image/png;base64,") == 1
+    written = page.read_text()
+    assert re.findall(r'<svg [^>]*aria-label="([^:"]*)', written) == ["CS002 X", "CS002 Y"] * 2, (
+        "map and course of each"
+    )
+    assert all(f'<th scope="row">{name}</th>' in written for name in ("file", "dates", "instrument", "sky", "lbacal"))
 
 
 def test_a_file_that_is_no_data_is_refused_with_2(tmp_path: Path, lbacal: Lbacal) -> None:

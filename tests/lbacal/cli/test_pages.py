@@ -19,6 +19,7 @@ from lbacal.pages.chart import Chart, plot_charts
 from lbacal.pages.finding import draw_finding, draw_scores, draw_station, tell_finding
 from lbacal.pages.fit import average_residuals, draw_c, draw_fit, draw_page
 from lbacal.pages.fit_summary import describe_error, explain_chi2, tabulate_curves
+from lbacal.pages.report import list_origin
 from lbacal.pages.tables import align
 from lbacal_core.calibration.one_event import ErrorOfC
 from lbacal_core.curves.covariance import Budget, BudgetTerm, parse_budget
@@ -41,6 +42,7 @@ from tests.lbacal.cli.conftest import Lbacal
 
 FREQUENCY = np.arange(30.0, 81.0)
 C = np.full(51, 2e-5)
+ORIGIN = list_origin("S.h5", provenance={"notes": {"sky_power": "sky gsm"}})
 CHARTS = [Chart("C, polarisation X", "frequency (MHz)", "C (µV per ADC unit)", [])]
 
 
@@ -55,7 +57,7 @@ def report(curves: int) -> FitReport:
 
 
 def test_the_page_is_one_file_with_table_budget_figure_and_the_number() -> None:
-    page = draw_page(report(2), CHARTS, "S.h5", ["error of C for one event on one antenna: 11 %"])
+    page = draw_page(report(2), CHARTS, ORIGIN, ["error of C for one event on one antenna: 11 %"])
     assert re.findall(r"""(?:src|href)=["'](?!data:|#)""", page) == []
     assert "<figcaption>C, polarisation X</figcaption>" in page
     for text in ("of S.h5</h1>", "for one event on one antenna: 11 %", "CS002 antenna 1 X", "sky gsm", "6.0"):
@@ -65,7 +67,7 @@ def test_the_page_is_one_file_with_table_budget_figure_and_the_number() -> None:
 
 
 def test_many_curves_are_folded_away_below_their_summary() -> None:
-    page = draw_page(report(40), CHARTS, "S.h5", ["number"])
+    page = draw_page(report(40), CHARTS, ORIGIN, ["number"])
     assert "All 40 curves" in page
     assert page.index("CS002 X") < page.index("<details>") < page.index("CS002 antenna 39 X")
 
