@@ -16,12 +16,14 @@ from lbacal_twin.faults.sky import RfiLine
 from validation.hidden.data_sets import DataSet, Planted
 
 
-def size_pull(data: DataSet, planted: Planted, finding: Mapping[str, Any]) -> float:
-    """(Size reported - size planted) / its error.
+def size_pull(data: DataSet, planted: Planted, finding: Mapping[str, Any]) -> float | None:
+    """(Size reported - size planted) / its error; None of a statement, which has none.
 
     What follows rain is compared by what it does in the mean rain of the data, whatever law is named; a ripple as it
     is seen in channels of 1 MHz, which know its delay modulo 1 us.
     """
+    if finding["size"]["sigma"] is None:
+        return None
     rain = data.scene.rain_mm_h
     laws = {"flag": (rain > 0).astype(float), "linear": rain, "saturating": np.tanh(rain)}
     named = laws.get(finding["parameters"].get("wetness", ""))
