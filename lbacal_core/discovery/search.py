@@ -147,6 +147,8 @@ def search_station(
             progress(f"{station.name}: looking for causes beside that structure")
             last = _grow_beside(first, structure.axis, structure.vectors, search)
             withdrawn = _withdrawn(first.linear, last.findings, structure, None, policy)
+            # beside a structure a sentence is more structure: nothing is named there
+            withdrawn += [one for one in last.findings if one.hypothesis.cause == SENTENCE]
             left, axis = last.last.linear, structure.axis
             withdrawn += [
                 f for f in last.findings if chance_of_following(left, f.hypothesis, axis) < policy.stands_alpha

@@ -7,19 +7,23 @@ import numpy as np
 import pytest
 
 from lbacal_core.causes.catalogue import CAUSES
-from lbacal_core.causes.grammar import parts_of
+from lbacal_core.causes.grammar import parts_of, sentence
 from lbacal_core.causes.model import Model
 from lbacal_core.causes.own import FORMAT, NamedSentence, catalogue_with
 from lbacal_core.data.judges import JUDGES
+from lbacal_core.discovery import search
 from lbacal_core.discovery.describe import CERTAIN, Description, describe_structure, notice
-from lbacal_core.discovery.hypothesis import list_targets
+from lbacal_core.discovery.findings import Finding, Grown
+from lbacal_core.discovery.hypothesis import Hypothesis, list_targets
 from lbacal_core.discovery.policy import Policy
-from lbacal_core.discovery.refit import fit_chain
+from lbacal_core.discovery.refit import fit_chain, refit
 from lbacal_core.discovery.report import investigate
 from lbacal_core.discovery.residual_structure import find_structure, strongest_structure
+from lbacal_core.discovery.scan import Score
+from lbacal_core.discovery.sentences import SENTENCE
 from lbacal_core.discovery.station import gather_stations
 from lbacal_twin.faults.sky import IonosphericAbsorption
-from lbacal_twin.faults.uncatalogued import AuroralAbsorption, FieldGradient, MainsHum, WorkingWeek
+from lbacal_twin.faults.uncatalogued import AuroralAbsorption, FieldGradient, FrostAndHeat, MainsHum, WorkingWeek
 
 
 @pytest.mark.long
@@ -125,6 +129,26 @@ def test_a_cause_that_a_sentence_explains_better_is_not_named_by_compete(spoil, 
     assert named["compete"] == []
     assert report["verdict"] == "unexplained"
     assert "the power of the sky" in report["unexplained"]["in_words"]
+
+
+def test_a_sentence_beside_a_structure_was_a_finding_of_compete(spoil, simulation, monkeypatch):
+    """It stood among the causes as "sentence"; beside a structure it is more structure."""
+    (data,) = gather_stations(spoil(FrostAndHeat(size=0.09)), simulation)
+    template, asked = sentence("receiver", ("flat",), ("working days",)), list[str]()
+
+    def grow_a_sentence(first, axis, _, search):
+        asked.append(axis.name)
+        last = refit(first, Hypothesis(SENTENCE, template, search.targets[-1], 0.05))
+        score = Score(SENTENCE, template, search.targets[-1], 9.0, 0.05, 300, 1e-9)
+        return Grown(last, [first], [Finding(last.hypotheses[-1], score, [], 2.0, 1.0, 9, 40.0, np.zeros((16, 51)))])
+
+    monkeypatch.setattr(search, "_grow_beside", grow_a_sentence)
+    monkeypatch.setattr(search, "_withdrawn", lambda *_: [])  # the data show it beside the structure
+    monkeypatch.setattr(search, "chance_of_following", lambda *_: 1.0)
+    report = search.search_station(data)
+    assert asked
+    assert report.structure is not None
+    assert report.findings == []
 
 
 def test_what_the_test_along_axes_is_too_wide_for_is_noticed_by_its_sentence(spoil, clean, simulation):
