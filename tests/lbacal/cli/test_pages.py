@@ -16,7 +16,7 @@ from lbacal.cli.main import app
 from lbacal.pages import investigation as investigation_page
 from lbacal.pages.budget import draw_budget
 from lbacal.pages.chart import Chart, plot_charts
-from lbacal.pages.finding import draw_finding, draw_scores, draw_station, tell_finding
+from lbacal.pages.finding import draw_finding, draw_scores, draw_sentence, draw_station, tell_finding
 from lbacal.pages.fit import average_residuals, draw_c, draw_fit, draw_page
 from lbacal.pages.fit_summary import describe_error, explain_chi2, tabulate_curves
 from lbacal.pages.report import list_origin
@@ -289,7 +289,10 @@ def test_a_finding_has_its_sentence_its_facts_and_its_figures_on_one_page(writte
     assert [*figures][:4] == ["course", "law", "before 0", "after 0"]
     of_station = draw_station(content["stations"][0], content["scores"]["CS002"])
     withdrawn = [chart for one in content["unexplained"]["similar_to"] for chart in draw_finding(one)]
-    assert page.count("<svg ") == len([*figures, *of_station, *withdrawn])
+    first, *_ = content["unexplained"]["sentences"]
+    said = draw_sentence(first)
+    assert [*said] == ["course", "law"]
+    assert page.count("<svg ") == len([*figures, *of_station, *withdrawn, *said])
     for text in (
         finding["sentence"],
         *(escape(chart.title) for chart in figures.values()),
