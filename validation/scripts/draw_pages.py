@@ -34,6 +34,8 @@ def list_pages(url: str) -> dict[str, str]:
         "drift": "/drift",
         "finding": f"/investigations/{found['id']}",
         "calibration": f"/calibrations/{version['id']}",
+        "alarms": "/alarms",
+        "models": "/models",
         "jobs": "/jobs",
     }
 
