@@ -54,7 +54,7 @@ def draw_coverage(stations: Sequence[StationState], span: Span) -> Chart:
     """How many paths of each station have a calibration, and by what."""
     rows = [one.name for one in stations]
     counts = {
-        "told the mean of others": [one.in_effect + one.without_data for one in stations],
+        "served the mean of others": [one.in_effect + one.without_data for one in stations],
         "by a mean that holds their data": [one.in_effect for one in stations],
         "by their own version": [one.own for one in stations],
     }

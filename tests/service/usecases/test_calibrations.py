@@ -196,7 +196,7 @@ def test_a_pinned_answer_stays_whatever_the_servers_instrument_file_says_later(
 
 def test_the_overview_counts_only_what_has_data(http: TestClient, service: Factory) -> None:
     assert "24 of 576 paths calibrated at the last event by data of their own" in http.get("/").text
-    others, own_mean, own = "told the mean of others", "by a mean that holds their data", "by their own version"
+    others, own_mean, own = "served the mean of others", "by a mean that holds their data", "by their own version"
 
     def count(station: int) -> dict[str, int]:
         """How many paths of a station the figure shows, each kind with those of the following ones."""
