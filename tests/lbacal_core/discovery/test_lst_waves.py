@@ -11,7 +11,6 @@ import pytest
 
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves.curves import CONVERGED, MISFIT
-from lbacal_core.discovery import report as investigation
 from lbacal_core.discovery.report import investigate
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.simulation.simulation import Simulation
@@ -54,11 +53,7 @@ def simulation():
         (0.015, 2, True, 3, WRONG),
     ],
 )
-def test_fits_and_an_investigation_say_the_same_of_gains_along_lst(
-    simulation, size, harmonic, slopes, seed, expected, monkeypatch
-):
-    if size != 0.06:  # verdict and axis are asked for: words for the largest alone
-        monkeypatch.setattr(investigation, "put_into_words", lambda report, _: report)
+def test_fits_and_an_investigation_say_the_same_of_gains_along_lst(simulation, size, harmonic, slopes, seed, expected):
     clean = lst_waves.simulate(simulation, seed)
     assert judge(lst_waves.with_gain(clean, simulation, size, harmonic, slopes=slopes), simulation) == expected
 
