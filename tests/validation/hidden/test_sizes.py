@@ -51,6 +51,8 @@ def test_what_follows_rain_is_compared_in_the_mean_rain_whatever_the_law(data):
     assert size_pull(data, planted, wet) == pytest.approx(3.0)
     per_mm = {"parameters": {"wetness": "linear"}, "size": {"value": mean / rain[rain > 0].mean(), "sigma": 0.001}}
     assert size_pull(data, planted, per_mm) == pytest.approx(0.0, abs=1e-9)
+    statement = {"size": {"value": 1.0, "sigma": None}, "parameters": {}}
+    assert size_pull(data, planted, statement) is None, "exchanged letters ended a block of a proof"
 
 
 def test_a_law_that_the_catalogue_does_not_document_is_beside_the_family() -> None:
