@@ -64,10 +64,10 @@ def audit(
     """
     spectra = data if isinstance(data, Spectra) else _read(Path(data), instrument, average)
     name = spectra.origin if isinstance(data, Spectra) else Path(data).name
-    report = audit_spectra(spectra, core_of(instrument), sky, antenna)
+    core = core_of(instrument)
+    report = audit_spectra(spectra, core, sky, antenna)
     wrong = sum(line.verdict == WRONG for line in report.lines)
     rows = [(line.verdict, line.check, line.station, f"{line.sentence}{_odds(line)}") for line in report.lines]
-    core = core_of(instrument)
     models = {"instrument": core.name, "sky": sky or "of the instrument", "antenna": antenna or "of the instrument"}
     origin = [*list_origin(name, time_unix=spectra.time_unix), *models.items()]
     return Audit(
@@ -79,6 +79,7 @@ def audit(
             for station in report.stations
         ],
         charts=lambda: chain.from_iterable(map(draw_station, report.stations)),
+        columns=len(core.dipoles),
         as_table=lambda: QTable(rows=[list(row) for row in rows], names=COLUMNS, dtype=[str] * len(COLUMNS)),
         as_dict=report.as_dict,
         page=partial(draw_page, report, origin),

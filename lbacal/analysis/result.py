@@ -90,7 +90,9 @@ class Result:
         """All that there is to see as a figure; or what matters most, on axes of matplotlib."""
         if ax is None:
             return plot_charts(list(self.charts()), self.columns)
-        (self.main() if self.main else next(iter(self.charts()))).draw(ax)
+        chart = self.main() if self.main else next(iter(self.charts()), None)
+        if chart is not None:  # a report made before it carried figures has none
+            chart.draw(ax)
         figure: Figure = ax.figure
         return figure
 

@@ -11,6 +11,7 @@ from astropy.table import QTable
 from matplotlib.figure import Figure
 
 import lbacal
+from lbacal.analysis.result import Result
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.lstcurve.curve import measured_curve
@@ -96,6 +97,12 @@ def test_a_budget_has_a_term_for_what_is_left_open(late: Spectra, found: lbacal.
     budget.plot(Figure().subplots())
     with pytest.raises(BadInputError, match="sky budget"):
         lbacal.budget(late, "lofar-superterp", sky="papers")
+
+
+def test_a_result_without_figures_leaves_axes_as_they_are() -> None:
+    axes = Figure().subplots()
+    assert Result(title="old", rows=[], charts=list).plot(axes) is axes.figure
+    assert not axes.has_data()
 
 
 def test_an_audit_is_a_table_of_its_lines(late: Spectra, tmp_path: Path) -> None:
