@@ -90,7 +90,7 @@ def _tell_similar(finding: Mapping[str, Any]) -> Iterator[str]:
 
 
 def tell_rivals(finding: Mapping[str, Any]) -> str:
-    """What was fitted in the place of a finding, with its odds to it; empty where nothing was, or an old report."""
+    """Name what was fitted in the place of a finding, with its odds to it; empty where nothing was."""
     rivals = finding["evidence"].get("rivals", ())
     return ", ".join(f"{one['cause']} ({one['target']}) {one['odds']:.1g} : 1" for one in rivals)
 

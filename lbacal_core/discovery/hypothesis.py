@@ -73,7 +73,7 @@ class Rival:
 
     @property
     def odds(self) -> float:
-        """Its odds to the finding, 1e300 at most."""
+        """Odds of this rival to the finding, 1e300 at most."""
         return float(np.exp(min(-0.5 * self.delta_chi2, np.log(1e300))))
 
     def as_dict(self) -> dict[str, Any]:
