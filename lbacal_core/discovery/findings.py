@@ -194,6 +194,8 @@ class StationSearch:
 
     def _is_crowded(self, before: FittedModel) -> bool:
         """Whether causes along one axis were accepted again and again, and structure along it remains."""
+        if self.policy.judge == "compete":
+            return False
         axes = [axis for one in before.hypotheses[self.adopted :] if one.target.is_wide for axis in one.cause.axes]
         crowded = {axis for axis in axes if axes.count(axis) >= self.policy.crowd}
         return bool(crowded) and chance_along(before.linear, crowded, STATION) < self.policy.crowd_alpha
