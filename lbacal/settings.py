@@ -9,7 +9,6 @@ import os
 from difflib import get_close_matches
 from pathlib import Path
 
-from lbacal_core.data.judges import DEFAULT_JUDGE, JUDGES, Judge
 from lbacal_core.errors import BadInputError
 
 PREFIX = "LBACAL_"
@@ -22,7 +21,7 @@ CLIENT_SETTINGS = {
 }
 """What the client, extras and the tests read: meaning and default."""
 SERVER_SETTINGS = (
-    "LBACAL_DATABASE_URL", "LBACAL_INSTRUMENT", "LBACAL_SKY_POWER", "LBACAL_CAUSES", "LBACAL_JUDGE",
+    "LBACAL_DATABASE_URL", "LBACAL_INSTRUMENT", "LBACAL_SKY_POWER", "LBACAL_CAUSES",
     "LBACAL_RESISTANCE_OHM",
     "LBACAL_MAX_BODY_MB", "LBACAL_MAX_OPEN_PARTS", "LBACAL_MAX_WINDOW_DAYS", "LBACAL_MAX_CONNECTIONS",
     "LBACAL_MAX_RATE", "LBACAL_OPEN_READS", "LBACAL_WAIT_S", "LBACAL_LEASE_S", "LBACAL_POLL_S", "LBACAL_NIGHTLY_UTC",
@@ -35,15 +34,6 @@ def causes_file() -> Path | None:
     """The file of the causes that this installation has beside the catalogue."""
     named = os.environ.get("LBACAL_CAUSES")
     return Path(named) if named else None
-
-
-def judge() -> Judge:
-    """How this installation judges what its simulation gets wrong."""
-    named = os.environ.get("LBACAL_JUDGE", DEFAULT_JUDGE)
-    found = next((one for one in JUDGES if one == named), None)
-    if found is None:
-        raise BadInputError("LBACAL_JUDGE", f"one of {', '.join(JUDGES)}", repr(named))
-    return found
 
 
 def require_known_settings() -> None:

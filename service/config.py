@@ -11,7 +11,6 @@ from pydantic_core import PydanticCustomError
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from lbacal.settings import PREFIX, require_known_settings
-from lbacal_core.data.judges import DEFAULT_JUDGE, Judge
 from lbacal_core.errors import BadInputError
 from service.refusals import describe_refusal
 
@@ -28,10 +27,6 @@ class Settings(BaseSettings):
     instrument: str = Field(default="lofar-superterp", description="name of a shipped instrument, or a file")
     sky_power: Path | None = Field(default=None, description="sky power file; none = the package's own sky")
     causes: Path | None = Field(default=None, description="file of causes beside the catalogue (lbacal causes add)")
-    judge: Judge = Field(
-        default=DEFAULT_JUDGE,
-        description="search names causes that chance does not explain, compete those that no sentence explains better",
-    )
     resistance_ohm: float = Field(default=50.0, gt=0, description="R_r of all spectra, Ohm; it cancels in C")
     max_body_mb: float = Field(default=64, gt=0, description="largest request body, MB")
     max_open_parts: int = Field(default=50, gt=0, description="parts of jobs that one key may have waiting")

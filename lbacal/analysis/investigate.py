@@ -20,7 +20,6 @@ from lbacal.pages.curve import draw_change, draw_curve, draw_curve_page, draw_ra
 from lbacal.pages.finding import draw_finding, draw_scores, tell_rivals
 from lbacal.pages.investigation import draw_page
 from lbacal.pages.report import list_origin
-from lbacal.settings import judge
 from lbacal.with_model import Extended, read_model
 from lbacal_core.audit.audit import audit_quickly
 from lbacal_core.data.lofar import SUPERTERP
@@ -139,7 +138,7 @@ def investigate(
     measured = spectra_of(data)
     audited = audit_quickly(measured, simulation.instrument)
     audited.require_power(measured.origin)
-    content, stations = investigate_spectra(measured, simulation.smeared(measured), progress=tell, judge=judge())
+    content, stations = investigate_spectra(measured, simulation.smeared(measured), progress=tell)
     content["provenance"]["notes"]["audit"] = audited.sentence
     content = add_left_open(content, stations)
 

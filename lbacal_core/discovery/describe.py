@@ -16,7 +16,6 @@ import numpy as np
 from lbacal_core.causes.cause import TEMPERATURE, Conditions, signature
 from lbacal_core.causes.grammar import (
     PLACES,
-    axis_of,
     list_courses,
     list_laws,
     parts_of,
@@ -31,7 +30,6 @@ from lbacal_core.discovery.residual_structure import (
     STATION,
     ResidualStructure,
     find_structure,
-    structure_along,
 )
 from lbacal_core.discovery.scan import SpectralFamily, score_families
 from lbacal_core.discovery.sentences import (
@@ -39,7 +37,6 @@ from lbacal_core.discovery.sentences import (
     SENTENCE,
     ScoredSentence,
     best_of_families,
-    likeliest_sentences,
     refine_sentence,
     score_gated,
     score_sentences,
@@ -159,20 +156,6 @@ def _targets_of(structure: ResidualStructure, targets: Sequence[Target]) -> list
         return [one for one in targets if one.is_wide]
     path = [one for one in targets if one.label == structure.target]
     return [one for one in targets if not one.is_wide and path and np.all(one.is_member >= path[0].is_member)][::-1]
-
-
-def notice(model: LinearModel, targets: Sequence[Target], alpha: float) -> ResidualStructure | None:
-    """Structure of the station that a sentence shows and that smooth functions of an axis are too many for.
-
-    Noise of a receiver on working days is one sentence, and 24 functions of the day of the week and of frequency: at an
-    ideal SNR of 10 these do not show it. The description length counts every alternative, so that e to the minus
-    log-odds bounds the probability of a false alarm (Bonferroni).
-    """
-    best = likeliest_sentences(model, targets[-1])[0]
-    chance = float(np.exp(-0.5 * best.gain))
-    if chance > min(alpha, np.exp(-CERTAIN)):
-        return None
-    return structure_along(model, axis_of(parts_of(best.template)[2]), chance)
 
 
 # The search: all courses with a few laws, all laws with the best courses, products of these, and finer numbers.

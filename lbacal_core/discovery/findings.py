@@ -14,7 +14,7 @@ from lbacal_core.discovery.hypothesis import Hypothesis, Rival, Target
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.refit import AveragedSize, FittedModel, average_size, held_out_gain, refit, refit_over_noise
-from lbacal_core.discovery.residual_structure import STATION, chance_along
+from lbacal_core.discovery.residual_structure import STATION
 from lbacal_core.discovery.scan import (
     HiddenCause,
     Score,
@@ -90,8 +90,6 @@ class StationSearch:
         Scores of every cause before anything was added.
     again
         Why the search ended, where a cause was significant once more.
-    has_significant
-        Whether chance did not explain some score.
     impossible
         A score that chance does not explain, where no cause describes it with a size that it can have.
     hidden
@@ -110,13 +108,11 @@ class StationSearch:
         stations: int,
         seed: int,
         progress: Callable[[str], None],
-        causes: Sequence[Cause] | None = None,
         catalogue: Sequence[Cause] = CAUSES,
     ) -> None:
-        self.causes, self.catalogue = catalogue if causes is None else causes, catalogue
+        self.catalogue = catalogue
         self.name, self.targets, self.policy, self.seed = station.name, targets, policy, seed
         self.stations, self.alpha, self.progress = stations, policy.catalogue_alpha / stations, progress
-        self.has_significant = False
         self.first_scores: list[Score] = []
         self.again: SameAgain | None = None
         self.hidden: list[HiddenCause] | None = None
@@ -125,21 +121,20 @@ class StationSearch:
 
     def propose(self, before: FittedModel) -> list[Candidate]:
         """The model with each of the best significant causes, fitted without linearising."""
-        self.progress(f"{self.name}: scoring {len(self.causes)} causes for {len(self.targets)} targets")
+        self.progress(f"{self.name}: scoring {len(self.catalogue)} causes for {len(self.targets)} targets")
         if self.hidden is None:
-            self.hidden = list_hidden(before.linear, self.causes, self.targets[-1], self.policy.hidden_share)
+            self.hidden = list_hidden(before.linear, self.catalogue, self.targets[-1], self.policy.hidden_share)
         hidden = [one.cause for one in self.hidden]
-        scores = scan(before.linear, [one for one in self.causes if one not in hidden], self.targets, self.seed)
+        scores = scan(before.linear, [one for one in self.catalogue if one not in hidden], self.targets, self.seed)
         self.first_scores = self.first_scores or scores
         significant = [score for score in scores if score.p_value < self.alpha]
-        self.has_significant |= bool(significant)
-        sentence = self._score_sentences(before, significant) if self.policy.judge == "compete" else None
-        said = None if sentence is None else self._say(before, sentence, significant)
+        sentence = self._score_sentences(before, significant)
+        said = self._say(before, sentence, significant)
         named = self._name(before, significant, scores)
         if said is None or (named and said.gain < named[0].gain + 2.0 * self.policy.likelier):
-            return _compare(named, sentence)
+            return _compare(named, [sentence])
         self.again, self.impossible = None, None
-        return _compare([said, *named])
+        return _compare([said, *named], [])
 
     def _score_sentences(self, before: FittedModel, significant: Sequence[Score]) -> ScoredSentence:
         """The likeliest sentence, for the station or where the best cause acts, by its score."""
@@ -175,7 +170,7 @@ class StationSearch:
         """The models with each of the best significant causes."""
         if significant:
             self.again = _same_again(significant[0], before.hypotheses, self.adopted)
-        if not significant or self.again is not None or self._is_crowded(before):
+        if not significant or self.again is not None:
             return []
         self.progress(f"{self.name}: fitting everything again with {significant[0].cause.identifier}")
         rivals = _rivals(significant, self.policy)
@@ -192,14 +187,6 @@ class StationSearch:
         fitted = [_fit(before, score, self.policy) for score in scores]
         return [one for one in fitted if one is not None and _is_possible(one.model)]
 
-    def _is_crowded(self, before: FittedModel) -> bool:
-        """Whether causes along one axis were accepted again and again, and structure along it remains."""
-        if self.policy.judge == "compete":
-            return False
-        axes = [axis for one in before.hypotheses[self.adopted :] if one.target.is_wide for axis in one.cause.axes]
-        crowded = {axis for axis in axes if axes.count(axis) >= self.policy.crowd}
-        return bool(crowded) and chance_along(before.linear, crowded, STATION) < self.policy.crowd_alpha
-
     def model_of(self, candidate: Candidate) -> FittedModel:
         """The fitted model of a candidate."""
         return candidate.model
@@ -209,10 +196,10 @@ class StationSearch:
         return gain_of(before, candidate.model.hypotheses[-1], candidate.score)
 
 
-def _compare(found: Sequence[Candidate], sentence: ScoredSentence | None = None) -> list[Candidate]:
+def _compare(found: Sequence[Candidate], sentences: Sequence[ScoredSentence]) -> list[Candidate]:
     """Candidates with their rivals, the likeliest first."""
     others = [(one.score.cause.identifier, one.score.target.label, one.gain) for one in found]
-    said = [] if sentence is None else [(SENTENCE.identifier, sentence.target.label, sentence.gain)]
+    said = [(SENTENCE.identifier, one.target.label, one.gain) for one in sentences]
     return [
         replace(
             one,

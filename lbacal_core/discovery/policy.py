@@ -6,7 +6,9 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from lbacal_core.calibration.chain_form import EXCLUDED, OPEN
-from lbacal_core.data.judges import DEFAULT_JUDGE, Judge
+
+JUDGE = "compete"
+"""The judge of spectra: a cause is named where it is likelier than every sentence of the grammar."""
 
 
 @dataclass(frozen=True)
@@ -28,20 +30,6 @@ class Policy:
         Share of the best score below which a candidate cannot win by a better fit.
     indistinguishable
         SNR^2 (1 - r^2) below which another template fits as well: 3 standard deviations.
-    same_spectrum
-        Overlap (Bhattacharyya 1943) of two spectra, each the share of the whitened structure in every channel, beyond
-        which they are alike: the templates of different stages of the chain overlap by less.
-    crowd, crowd_alpha
-        Number of accepted causes along one axis after which the search ends, if structure along it remains with a
-        probability below this: no proof hides more, and causes then describe piece by piece what none of them is.
-    stands_alpha
-        Probability of structure along the axes of a finding below which the finding does not stand; in the paths where
-        `crowd` parts of a station have findings along one axis.
-    beside_share
-        Factor on the probability of a false alarm of causes beside a structure that was taken out: what its description
-        leaves of it is no noise.
-    judge
-        Whether a cause is held against the sentences (`causes.grammar`) that none says.
     likelier
         ln of the odds by which a sentence must be likelier than the likeliest cause: 20 to 1.
     hidden_share
@@ -57,13 +45,7 @@ class Policy:
     rivals: int = 4
     rival_share: float = 0.6
     indistinguishable: float = 9.0
-    same_spectrum: float = 0.8
-    crowd: int = 2
-    crowd_alpha: float = 1e-6
-    stands_alpha: float = 0.001
-    beside_share: float = 0.01
     hidden_share: float = 0.03
-    judge: Judge = DEFAULT_JUDGE
     likelier: float = 3.0
 
     @property

@@ -168,15 +168,12 @@ class LinearModel:
         The chain of the mean path of each class; the free vectors are its derivatives.
     modes
         Relative changes of P_sky by which sky and antenna models differ, or None where P_sky is exact.
-    empirical
-        Further free vectors of the mean, shape (vector, polarisation, event, freq), or None.
     """
 
     station: Station
     residuals: Residuals
     terms: ChainTerms
     modes: SkyModes | None
-    empirical: Floats | None = None
 
     def with_levels(self, levels: NoiseLevels) -> LinearModel:
         """The same residuals weighed with other noise levels."""
@@ -202,18 +199,16 @@ class LinearModel:
         return replace(self, station=station, residuals=residuals).beside_modes()
 
     def beside_modes(self, gains: EventGains | None = None) -> LinearModel:
-        """The same with noise levels estimated beside what is no noise: differences between models, known structure.
+        """The same with noise levels estimated beside differences between models, which are no noise.
 
         Parameters
         ----------
         gains
             Given once for new residuals: what gains of single events do beyond first order is then taken out.
         """
-        is_alone = self.modes is None and self.empirical is None
         residuals, mean, sky = self.residuals, self.residuals.mean, None
-        if not is_alone:
-            mean = self.common.clean(mean[None])[0]
-            sky = None if self.modes is None else self._seen_in_deviations()
+        if self.modes is not None:
+            mean, sky = self.common.clean(mean[None])[0], self._seen_in_deviations()
             residuals = estimate_again(self.station, residuals, mean, sky)
         if gains is not None:
             beyond = gains.beyond_first_order(self.station, residuals, mean)
@@ -296,8 +291,6 @@ class LinearModel:
             modes = self._modes_in_mean(self.modes)
             free, prior = np.concatenate([free, modes]), np.concatenate([prior, np.full(len(modes), self.modes.prior)])
             waves = None if self.modes.waves is None else self._waves_in_mean(*self.modes.waves)
-        if self.empirical is not None:
-            free, prior = np.concatenate([free, self.empirical]), np.concatenate([prior, np.zeros(len(self.empirical))])
         weight = np.ones((1, channel.shape[1]))
         return View(channel, inside, levels.vectors, slope, free, prior, waves, weight, residuals.mean[None])
 

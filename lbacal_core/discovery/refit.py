@@ -82,7 +82,6 @@ def linearise(
     station: Station,
     baseline: Baseline,
     modes: SkyModes | None,
-    empirical: Floats | None = None,
     hypotheses: Sequence[Hypothesis] = (),
 ) -> LinearModel:
     """The linear model of a baseline's residuals, with noise levels estimated from them.
@@ -97,7 +96,7 @@ def linearise(
     terms = act_together(station, baseline.terms, hypotheses)
     gains = EventGains.of(station, terms)
     residuals = split_residuals(station, baseline.residual, gains.vectors)
-    return LinearModel(station, residuals, terms, modes, empirical).beside_modes(gains)
+    return LinearModel(station, residuals, terms, modes).beside_modes(gains)
 
 
 def act_together(station: Station, terms: ChainTerms, hypotheses: Sequence[Hypothesis]) -> ChainTerms:
@@ -162,8 +161,7 @@ def refit(before: FittedModel, new: Hypothesis, noise: Noise | None = None) -> F
     most = new.cause.largest_step
     hypotheses = [*before.hypotheses, replace(new, size=float(np.clip(new.size, -most, most)))]
     levels = before.linear.on_events(station.is_used).residuals.levels
-    modes, empirical = before.linear.modes, before.linear.empirical
-    found = fit_sizes(station, before.baseline, hypotheses, levels, modes, empirical, noise=noise)
+    found = fit_sizes(station, before.baseline, hypotheses, levels, before.linear.modes, noise=noise)
     return None if found is None else found[0]
 
 
@@ -173,7 +171,6 @@ def fit_sizes(
     hypotheses: Sequence[Hypothesis],
     levels: NoiseLevels,
     modes: SkyModes | None,
-    empirical: Floats | None = None,
     *,
     is_free: NDArray[np.bool_] | None = None,
     noise: Noise | None = None,
@@ -209,7 +206,7 @@ def fit_sizes(
             baseline = replace(baseline, terms=with_noise(station, baseline.terms, noise))
         if _has_run_away(station, baseline, hypotheses):
             return None
-        linear = linearise(station, baseline, modes, empirical, hypotheses)
+        linear = linearise(station, baseline, modes, hypotheses)
         if not float(np.std(linear.residuals.mean)) < LARGEST_CHANGE:
             return None
         # The noise levels stay those of the model before, so that every round minimises the same chi^2.

@@ -16,7 +16,6 @@ from lbacal_core.calibration.chain_form import FORM_OF_CHAIN, compare_forms
 from lbacal_core.causes.axes import describe_term
 from lbacal_core.causes.cause import Description as CauseTexts
 from lbacal_core.causes.grammar import PLACES, as_equation, in_words
-from lbacal_core.data.judges import DEFAULT_JUDGE, Judge
 from lbacal_core.discovery.adopted import describe_size, fit_adopted
 from lbacal_core.discovery.antennas import AntennaScore
 from lbacal_core.discovery.describe import Described, Description
@@ -29,7 +28,7 @@ from lbacal_core.discovery.pictures import (
     picture_record,
     picture_station,
 )
-from lbacal_core.discovery.policy import Policy
+from lbacal_core.discovery.policy import JUDGE, Policy
 from lbacal_core.discovery.residual_structure import ResidualStructure
 from lbacal_core.discovery.scan import Score
 from lbacal_core.discovery.search import StationReport, put_into_words, search_station
@@ -88,7 +87,7 @@ def describe(reports: Sequence[StationReport], provenance: Provenance) -> dict[s
         "stations": stations,
         "noise": {report.station.name: _noise(report) for report in reports},
         "scores": {report.station.name: _scores(report) for report in reports},
-        "provenance": {**provenance.as_dict(), **({"judge": reports[0].policy.judge} if reports else {})},
+        "provenance": {**provenance.as_dict(), "judge": JUDGE},
     }
 
 
@@ -458,7 +457,6 @@ def investigate(
     *,
     seed: int = 0,
     progress: Callable[[str], None] = lambda _: None,
-    judge: Judge = DEFAULT_JUDGE,
 ) -> tuple[dict[str, Any], list[StationReport]]:
     """Find what the simulation gets wrong in the spectra of every station.
 
@@ -472,8 +470,6 @@ def investigate(
         Seed of the simulated trials factors.
     progress
         Called with a sentence before each step.
-    judge
-        ``search`` names causes that chance does not explain, ``compete`` those that are likelier than any sentence.
 
     Returns
     -------
@@ -481,7 +477,7 @@ def investigate(
     """
     name = f"instrument {simulation.instrument.name}"
     require_same_grid(spectra.origin, spectra.frequency_mhz, simulation.instrument.frequency_mhz, name)
-    policy = Policy(judge=judge)
+    policy = Policy()
     form = compare_forms(spectra, simulation)
     simulation = simulation.with_form(BEHIND if form.is_open(BEHIND) else PUBLISHED)
     known, model = simulation.differences, simulation.causes

@@ -14,14 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, gammaincc
 
-from lbacal_core.calibration.gain_waves import GainWaves, waves_of_gain
-from lbacal_core.causes.axes import Axis, axis_named, list_axes
-from lbacal_core.causes.cause import signature
-from lbacal_core.discovery.hypothesis import Hypothesis, p_of_best
+from lbacal_core.causes.axes import Axis, list_axes
+from lbacal_core.discovery.hypothesis import p_of_best
 from lbacal_core.discovery.noise import NoiseLevels, beyond_noise
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.refit import FOLDS, held_out_fold
-from lbacal_core.discovery.single_events import find_in_events, pattern_of
+from lbacal_core.discovery.single_events import find_in_events
 from lbacal_core.discovery.view import Seen, View
 from lbacal_core.grids import Floats
 from lbacal_core.linear import fit_least_squares
@@ -111,8 +109,6 @@ SMALLEST_SIZE = 1e-6
 """Size, relative to the largest, below which a function of an axis is a combination of the others."""
 STATION = "station"
 """Target of structure in the means."""
-PATHS = "paths"
-"""Where structure is looked for in the deviations of all paths."""
 EVENTS = "event"
 """Name of the axis of structure in single events, along none of the axes."""
 
@@ -135,10 +131,9 @@ class ResidualStructure:
         Log-likelihood gained on events not used; None in single events, which nothing describes beforehand.
     channel_share
         Share of the structure in each channel, shape (freq,).
-    vectors
-        Vectors that describe it in the means, shape (vector, polarisation, event, freq); None where a path shows it.
     term
-        What they describe, relative change of the power along an axis, shape (polarisation, event, freq), or None.
+        Relative change of the power that it makes along an axis in the means, shape (polarisation, event, freq); None
+        where a path shows it.
     coefficients
         Those of the functions in `term`, shape (polarisation, function of frequency, function of the axis), or None.
     amounts
@@ -153,7 +148,6 @@ class ResidualStructure:
     dof: int
     held_out_gain: float | None
     channel_share: Floats
-    vectors: Floats | None
     term: Floats | None = None
     coefficients: Floats | None = None
     amounts: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -238,73 +232,22 @@ def _try_all(model: LinearModel, rng: np.random.Generator) -> tuple[list[_Candid
 
 def _tell(model: LinearModel, one: _Candidate, axes: Mapping[Axis, Floats], chance: float) -> ResidualStructure:
     """What is reported of a candidate that has this probability by chance."""
-    held_out, vectors, term, coefficients, amounts = None, None, None, None, dict[str, tuple[float, float]]()
-    if one.axis is None:
-        vectors, share = pattern_of(model, one.spectrum), one.spectrum**2
-    else:
+    held_out, term, coefficients, amounts = None, None, None, dict[str, tuple[float, float]]()
+    share = one.spectrum**2
+    if one.axis is not None:
         held_out, share, size, of_places = _describe(one.places, axes[one.axis], held_out_fold(model.station))
         if len(one.places) > 1:
             pairs = zip(one.places, of_places.tolist(), strict=True)
             amounts = {place.label: (amount, sigma) for place, (amount, sigma) in pairs}
         if one.target == STATION:
-            vectors = _vectors(one.places[0], axes[one.axis])
-            term = np.tensordot(size, vectors, axes=1)
+            term = np.tensordot(size, _vectors(one.places[0], axes[one.axis]), axes=1)
             shown = one.places[0].seen.values[:, :, 0]
             onto = fit_least_squares(_polynomials(shown.shape[2]).T, shown.reshape(-1, shown.shape[2]).T)
             onto = onto.T.reshape(*shown.shape[:2], -1)
             coefficients = np.einsum("krl,kn->rln", onto, size.reshape(len(onto), -1))
     return ResidualStructure(
-        one.axis, one.target, chance, one.gain, one.dof, held_out, share, vectors, term, coefficients, amounts
+        one.axis, one.target, chance, one.gain, one.dof, held_out, share, term, coefficients, amounts
     )
-
-
-def chance_along(model: LinearModel, names: Collection[str], target: str) -> float:
-    """Probability by chance of the strongest structure along axes, as causes call them, in `STATION` or `PATHS`."""
-    conditions = model.station.conditions
-    axes = [axis for axis in list_axes(conditions) if axis.along in names]
-    known = [(axis, basis) for axis in axes if (basis := axis.basis(conditions)) is not None]
-    if not known:
-        return 1.0
-    if target == STATION:
-        means, levels = _see_in_means(model), model.residuals.levels
-        found = [_in_means(levels, means, axis, basis) for axis, basis in known]
-    else:
-        paths = _see_in_paths(model)
-        found = [_in_paths(model, paths, axis, basis) for axis, basis in known]
-    return p_of_best(min(one.p_value for one in found), len(found))
-
-
-def find_gain_waves(
-    model: LinearModel, rng: np.random.Generator, alpha: float, stands_alpha: float
-) -> ResidualStructure | None:
-    """Find gains that follow LST, by the odds of `calibration.gain_waves`, or None; also where P_sky is exact.
-
-    The test along LST spreads what they gain over 120 functions, and some of it has the form of one cause or the other:
-    gains of 2 to 3 % were named jitter of the converter. Where that test describes more, its description is given.
-
-    Parameters
-    ----------
-    stands_alpha
-        Probability of what such gains would gain in chi^2 beside the hypotheses of the model, below which these do not
-        describe their effect; 0 where none of them acts on the whole station.
-    """
-    if model.modes is None:
-        return None
-    conditions, rows = model.station.conditions, len(model.common.slope)
-    axis = axis_named("lst")
-    flat, basis = _Shown.of(model.common, np.ones((1, rows, 1, 1))), axis.functions(conditions.lst_hours)
-    waves = waves_of_gain(conditions.lst_hours)
-    score, information = flat.view.score(flat.seen, waves)[0, 0], flat.view.products([flat.seen], [waves])[0]
-    # odds of g to 1 have a probability of 1/g at most where there are no such gains
-    chance, (gain, dof) = float(np.exp(-max(GainWaves(score, information).odds, 0.0))), _gain(score, information)
-    beside = float(chdtrc(dof, gain))
-    if chance >= alpha and beside >= stands_alpha:
-        return None
-    chance = min(chance, beside)
-    described = find_structure(model, rng, alpha, chance, {axis.along})
-    if described is not None and described.axis is axis:
-        return described
-    return _tell(model, _in_means(model.residuals.levels, flat, axis, basis), {axis: basis}, chance)
 
 
 def structure_along(model: LinearModel, name: str, chance: float) -> ResidualStructure | None:
@@ -318,19 +261,6 @@ def structure_along(model: LinearModel, name: str, chance: float) -> ResidualStr
     if axis is None or basis is None:
         return None
     return _tell(model, _in_means(model.residuals.levels, _see_in_means(model), axis, basis), {axis: basis}, chance)
-
-
-def chance_of_following(model: LinearModel, found: Hypothesis, axis: Axis) -> float:
-    """Probability by chance that the size of a cause, which is part of the model, follows an axis as much as it does.
-
-    Absorption in some nights of a month leaves more power by day beside its mean over the month. Interference by day
-    describes that, but not that it is there in those nights alone.
-    """
-    conditions = model.station.conditions
-    shown, basis = signature(found.cause, model.terms, conditions, found.template), axis.basis(conditions)
-    templates = [shown, *(shown * profile[:, None] for profile in ([] if basis is None else basis))]
-    gain, dof = _gain(*model.products(templates, [found.target] * len(templates)))
-    return float(chdtrc(dof, gain))
 
 
 @dataclass(frozen=True)

@@ -8,40 +8,32 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
 from lbacal_core.audit.record import RecordError
-from lbacal_core.causes.axes import Axis
 from lbacal_core.causes.catalogue import CAUSES
-from lbacal_core.causes.cause import Cause, Conditions, Template, signature
+from lbacal_core.causes.cause import Cause, Conditions, Template
 from lbacal_core.causes.grammar import axis_of, parts_of
 from lbacal_core.causes.model import PLAIN, Model
 from lbacal_core.discovery.adopted import FittedSize, fit_adopted
 from lbacal_core.discovery.antennas import AntennaScore, compare_antennas, compare_cable_names, why_no_comparison
 from lbacal_core.discovery.baseline import leave_out_deaf
-from lbacal_core.discovery.describe import Description, describe_structure, notice
-from lbacal_core.discovery.findings import Finding, Grown, SameAgain, StationSearch, grow_findings
-from lbacal_core.discovery.hypothesis import Hypothesis, list_targets, p_of
+from lbacal_core.discovery.describe import Description, describe_structure
+from lbacal_core.discovery.findings import Finding, Grown, StationSearch, grow_findings
+from lbacal_core.discovery.hypothesis import Hypothesis, list_targets
 from lbacal_core.discovery.policy import Policy
-from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.refit import FittedModel, refit
 from lbacal_core.discovery.residual_structure import (
-    PATHS,
     STATION,
     ResidualStructure,
-    chance_along,
-    chance_of_following,
-    find_gain_waves,
     find_structure,
     structure_along,
 )
 from lbacal_core.discovery.scan import Score, shares_taken
 from lbacal_core.discovery.sentences import SENTENCE
-from lbacal_core.discovery.single_events import share_of_channels
 from lbacal_core.discovery.station import SkyModes, Station
-from lbacal_core.grids import Floats
-from lbacal_core.linear import invert_symmetric
 
 
 @dataclass(frozen=True)
@@ -128,47 +120,25 @@ def search_station(
     station, deaf = leave_out_deaf(station)
     targets = list_targets(station)
     progress(f"{station.name}: fitting the baseline of {len(station.antenna)} paths")
-    search = StationSearch(station, targets, policy, stations, seed, progress, catalogue=catalogue)
+    search = StationSearch(station, targets, policy, stations, seed, progress, catalogue)
     adopted = fit_adopted(station, model, modes)
     first, search.adopted = adopted.model, len(adopted.sizes)
     grown = grow_findings(first, search)
     progress(f"{station.name}: looking for structure that no cause explains")
+    rng = np.random.default_rng(seed)
     said = [one for one in grown.findings if one.hypothesis.cause == SENTENCE]
     twice = None if search.again is None or search.again.number < 0 else grown.findings[search.again.number]
     if said:
-        grown, structure = _name_structure(first, grown, said, search, np.random.default_rng(seed))
-    elif policy.judge == "compete":
-        structure = _find_left(grown, search, np.random.default_rng(seed))
+        grown, structure = _name_structure(first, grown, said, search, rng)
     else:
-        structure = _structure_beside(first, grown, search, np.random.default_rng(seed))
-        if structure is None and not grown.findings:
-            structure = notice(grown.last.linear, targets, policy.structure_alpha / stations)
-    last, similar, withdrawn = grown, list[Finding](), list[Finding]()
-    if structure is not None and policy.judge == "compete":
-        withdrawn = [
-            one
-            for one in grown.findings
-            if one is twice or _lives_there(one.hypothesis, structure, first.station.conditions)
-        ]
-    elif structure is not None:
-        withdrawn = _withdrawn(first.linear, grown.findings, structure, search.again, policy)
-        if structure.axis is not None and structure.vectors is not None and search.has_significant:
-            progress(f"{station.name}: looking for causes beside that structure")
-            last = _grow_beside(first, structure.axis, structure.vectors, search)
-            withdrawn = _withdrawn(first.linear, last.findings, structure, None, policy)
-            # beside a structure a sentence is more structure: nothing is named there
-            withdrawn += [one for one in last.findings if one.hypothesis.cause == SENTENCE]
-            left, axis = last.last.linear, structure.axis
-            withdrawn += [
-                f for f in last.findings if chance_of_following(left, f.hypothesis, axis) < policy.stands_alpha
-            ]
-    hidden = [one.cause for one in search.hidden or []]
-    findings = [f for f in last.findings if structure is None or not any(f is one for one in withdrawn)]
+        structure = _find_left(grown, search, rng)
+    findings, similar = grown.findings, list[Finding]()
     if structure is not None:
-        kept = {(f.hypothesis.cause.identifier, f.hypothesis.target.label) for f in findings}
-        named = [(f, (f.hypothesis.cause.identifier, f.hypothesis.target.label)) for f in grown.findings]
-        similar = [f for f, name in named if name not in kept]
-    standing = _standing(first, last, findings)
+        here = partial(_lives_there, structure=structure, conditions=station.conditions)
+        similar = [one for one in findings if one is twice or here(one.hypothesis)]
+        findings = [one for one in findings if all(one is not other for other in similar)]
+    hidden = [one.cause for one in search.hidden or []]
+    standing = _standing(first, grown, findings)
     antenna_scores = compare_antennas(station, standing.baseline, targets, policy, seed, standing.hypotheses)
     antenna_scores += compare_cable_names(standing.baseline, standing.linear, targets)
     antenna_scores.sort(key=lambda score: score.p_value)
@@ -182,7 +152,7 @@ def search_station(
         scores=search.first_scores,
         antenna_scores=antenna_scores,
         first=first,
-        last=last.last,
+        last=grown.last,
         unidentifiable=_unidentifiable(station, search),
         taken=shares_taken(grown.last.linear, [one for one in catalogue if one not in hidden], targets[-1]),
         policy=policy,
@@ -231,27 +201,6 @@ def _find_left(grown: Grown, search: StationSearch, rng: np.random.Generator) ->
     return find_structure(model.linear, rng, alpha, score.p_value, _axes_on_station(score, model.station.conditions))
 
 
-def _grow_beside(first: FittedModel, axis: Axis, vectors: Floats, search: StationSearch) -> Grown:
-    """Look again for causes that do not act along the axis of a structure, with the vectors that describe it free.
-
-    A structure along one axis explains what varies along it, and nothing else: a gain step beside it is still named.
-    """
-    others = [one for one in search.catalogue if axis.along not in one.axes]
-    beside = StationSearch(
-        first.station,
-        search.targets,
-        search.policy,
-        search.stations,
-        search.seed,
-        search.progress,
-        others,
-        search.catalogue,
-    )
-    beside.hidden, beside.adopted = search.hidden, search.adopted
-    beside.alpha = search.alpha * search.policy.beside_share
-    return grow_findings(replace(first, linear=replace(first.linear, empirical=vectors).beside_modes()), beside)
-
-
 def _standing(first: FittedModel, grown: Grown, findings: Sequence[Finding]) -> FittedModel:
     """The model with the findings that stand, beside which antennas are compared.
 
@@ -265,89 +214,6 @@ def _with(model: FittedModel, findings: Sequence[Finding]) -> FittedModel:
     for finding in findings:
         model = refit(model, finding.hypothesis) or model
     return model
-
-
-def _structure_beside(
-    first: FittedModel, grown: Grown, search: StationSearch, rng: np.random.Generator
-) -> ResidualStructure | None:
-    """Residual structure beside the findings, with what shows that a finding does not describe its effect.
-
-    Structure remains for certain where a cause was significant twice, where none has a size that it can have, where
-    gains follow LST, where it is along the axes of a finding, and where several parts have findings along one axis,
-    along which paths show it.
-    """
-    policy, again = search.policy, search.again
-    alpha = policy.structure_alpha / search.stations
-    if again is not None:
-        before = grown.others[again.number] if again.number >= 0 else grown.last
-        along = _axes_on_station(again.score, before.station.conditions)
-        return find_structure(before.linear, rng, alpha, again.score.p_value, along)
-    if (score := search.impossible) is not None:
-        along = _axes_on_station(score, grown.last.station.conditions)
-        return find_structure(grown.last.linear, rng, alpha, score.p_value, along)
-    found = grown.last.hypotheses[search.adopted :]
-    stands_alpha = policy.stands_alpha if any(one.target.is_wide for one in found) else 0.0
-    if (waves := find_gain_waves(grown.last.linear, rng, alpha, stands_alpha)) is not None:
-        return waves
-    along = {axis for one in found if one.target.is_wide for axis in one.cause.axes}
-    chance = chance_along(grown.last.linear, along, STATION)
-    if chance < policy.stands_alpha:
-        return find_structure(grown.last.linear, rng, alpha, chance, along)
-    parts = {one.target.label: one for one in found if one.target.scope != STATION}.values()
-    axes = [axis for one in parts for axis in _axes_of(one.cause, one.template, first.station.conditions)]
-    crowded = {axis for axis in axes if axes.count(axis) >= policy.crowd}
-    chance = chance_along(grown.last.linear, crowded, PATHS)
-    if chance < policy.stands_alpha:
-        wide = _standing(first, grown, [f for f in grown.findings if f.hypothesis.target.scope == STATION])
-        return find_structure(wide.linear, rng, alpha, chance)
-    return find_structure(grown.last.linear, rng, alpha)
-
-
-def _withdrawn(
-    first: LinearModel,
-    findings: Sequence[Finding],
-    structure: ResidualStructure,
-    again: SameAgain | None,
-    policy: Policy,
-) -> list[Finding]:
-    """Findings that are withdrawn: residual structure remains that may explain the same data."""
-    is_seen = _seen_beside(first, findings, structure, policy)
-    return [
-        finding
-        for number, finding in enumerate(findings)
-        if (again is not None and number == again.number)
-        or _lives_there(finding.hypothesis, structure, first.station.conditions)
-        or _has_its_spectrum(first, finding, structure, policy)
-        or not is_seen[number]
-    ]
-
-
-def _seen_beside(
-    model: LinearModel, findings: Sequence[Finding], structure: ResidualStructure, policy: Policy
-) -> list[bool]:
-    """Whether each finding is significant beside residual structure: profiled out in the means, as it is in paths."""
-    if not findings:
-        return []
-    beside = replace(model, empirical=structure.vectors)
-    hypotheses = [finding.hypothesis for finding in findings]
-    templates = [signature(one.cause, beside.terms, beside.station.conditions, one.template) for one in hypotheses]
-    score, information = beside.products(templates, [one.target for one in hypotheses])
-    inverse = invert_symmetric(information, share=1e-6)
-    z = np.abs(inverse @ score) / np.sqrt(np.maximum(np.diag(inverse), 1e-300))
-    chances = [p_of(own, one.score.trials * one.score.causes) for own, one in zip(z.tolist(), findings, strict=True)]
-    alpha, in_means = policy.catalogue_alpha * policy.beside_share, structure.vectors is not None
-    on_parts = [one.target.scope != STATION for one in hypotheses]
-    return [p <= alpha or not (in_means or part) for p, part in zip(chances, on_parts, strict=True)]
-
-
-def _has_its_spectrum(model: LinearModel, finding: Finding, structure: ResidualStructure, policy: Policy) -> bool:
-    """Whether the residual structure is in single events and has the spectrum of the finding's template."""
-    one = finding.hypothesis
-    if structure.axis is not None or not one.target.is_wide:
-        return False
-    shown = signature(one.cause, model.terms, model.station.conditions, one.template)
-    own = share_of_channels(model, model.mean_of(shown, one.target.is_member))
-    return float(np.sum(np.sqrt(own * structure.channel_share))) > policy.same_spectrum
 
 
 def _lives_there(one: Hypothesis, structure: ResidualStructure, conditions: Conditions) -> bool:

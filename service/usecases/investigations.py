@@ -69,7 +69,7 @@ class Investigations:
 
         A station's year with too few events for any fit is not yet due.
         """
-        search = [self.simulation.is_own_sky, self._policy.as_dict(), *self.simulation.own_causes.values()]
+        search = [self.simulation.is_own_sky, Policy().as_dict(), *self.simulation.own_causes.values()]
         for since, until in find_years(stores):
             for station, content in stores.spectra.stations_with(since, until, MIN_EVENTS).items():
                 yield describe_part(station, since, until), [content, search]
@@ -102,7 +102,7 @@ class Investigations:
             "spectra": spectra.digest(),
             "environment": hash_covariates(spectra),
             **self.fits.name_simulation(request["since"], request["until"], Scope(request["station"])),
-            "policy": self._policy.as_dict(),
+            "policy": Policy().as_dict(),
             **self.simulation.own_causes,
             **({} if model.is_plain else {"model": model.id}),
         }
@@ -112,11 +112,7 @@ class Investigations:
         from lbacal_core.discovery.report import investigate  # a second to import, and only workers need it
 
         known = self.simulation.with_causes(model).smeared(spectra)
-        return add_left_open(*investigate(spectra, known, judge=self.settings.judge))
-
-    @property
-    def _policy(self) -> Policy:
-        return Policy(judge=self.settings.judge)
+        return add_left_open(*investigate(spectra, known))
 
     def news(self) -> list[StationNews]:
         """The newest investigation of every station against the one before."""

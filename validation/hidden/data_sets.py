@@ -24,7 +24,7 @@ from lbacal_twin.nuisances import NONE, REALISTIC, Nuisances
 from lbacal_twin.settings import TwinSettings
 from lbacal_twin.view import View
 from lbacal_twin.world import World
-from validation.hidden.finder import SEARCH, Answer, FittedModel, Judged, ask_finder
+from validation.hidden.finder import Answer, FittedModel, ask_finder
 from validation.hidden.ideal import IdealDetector, ideal_detector
 from validation.hidden.worlds import OWN, STATION, Finder, alternatives, free_modes, view_of
 
@@ -170,23 +170,16 @@ class DataSet:
         _, event = np.unique(campaign.spectra.time_unix, return_inverse=True)
         return campaign.spectra.select(event % 2 == self.half)
 
-    def ask(
-        self, faults: Sequence[Fault] = (), *, is_own_sky: bool = False, judge: Judged = SEARCH, without: str = ""
-    ) -> Answer:
+    def ask(self, faults: Sequence[Fault] = (), *, is_own_sky: bool = False, without: str = "") -> Answer:
         """Search the data with the faults; the sky power is given and taken as exact.
 
         Unless it counts as the package's own, whose differences from other models are projected out, as it does in a
         world that was drawn.
         """
-        return self.ask_and_fit(faults, is_own_sky=is_own_sky, judge=judge, without=without)[0]
+        return self.ask_and_fit(faults, is_own_sky=is_own_sky, without=without)[0]
 
     def ask_and_fit(
-        self,
-        faults: Sequence[Fault] = (),
-        *,
-        is_own_sky: bool = False,
-        without: str = "",
-        judge: Judged = SEARCH,
+        self, faults: Sequence[Fault] = (), *, is_own_sky: bool = False, without: str = ""
     ) -> tuple[Answer, FittedModel | None]:
         """The answer, and the fitted model with what was found; None where the finder broke down."""
         known = None if self.world is None else alternatives(self.world, self.finder)
@@ -198,7 +191,6 @@ class DataSet:
             models=known,
             seed=self.seed,
             without=without,
-            judge=judge,
         )
 
     def draw(self, cause: str, rng: np.random.Generator, scopes: tuple[str, ...] = ()) -> Planted:

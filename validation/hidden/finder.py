@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
 from lbacal_core.causes.catalogue import CAUSES
-from lbacal_core.data.judges import DEFAULT_JUDGE, Judge
 from lbacal_core.discovery.adopted import find_members
 from lbacal_core.discovery.curve_search import describe_curve, investigate_curve
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
@@ -25,10 +24,6 @@ from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.differences import DifferenceModels
 from lbacal_core.sky.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra
-
-Judged: TypeAlias = Judge
-SEARCH: Judged = DEFAULT_JUDGE
-"""The judge that is asked unless another is named."""
 
 
 @dataclass(frozen=True)
@@ -138,7 +133,6 @@ def ask_finder(
     seed: int,
     models: DifferenceModels | None = None,
     without: str = "",
-    judge: Judged = SEARCH,
 ) -> tuple[Answer, FittedModel | None]:
     """Ask what is hidden in the spectra of one station.
 
@@ -158,7 +152,6 @@ def ask_finder(
                 catalogue=[one for one in CAUSES if one.identifier != without],
             ),
             seed=seed,
-            judge=judge,
         )
     except (ArithmeticError, LookupError, ValueError) as error:
         return Answer(f"failed: {error}", [], None, []), None

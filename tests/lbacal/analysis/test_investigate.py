@@ -142,13 +142,3 @@ def test_data_are_imported_with_what_was_left_out(tmp_path: Path) -> None:
         lbacal.import_data(tmp_path / "a.csv", average=0)
     with pytest.raises(BadInputError, match=r"^since, until: expected an end after the beginning"):
         lbacal.read(tmp_path / "S.h5", since="2014-04-01", until="2014-03-01")
-
-
-def test_the_judge_is_a_setting_and_a_misspelt_one_is_refused(late: Spectra, sky: SkyPower, monkeypatch) -> None:
-    monkeypatch.setenv("LBACAL_JUDGE", "compete")
-    again = lbacal.investigate(late, "lofar-superterp", sky)
-    assert again.report["provenance"]["settings"]["policy"]["judge"] == "compete"
-    assert [one.cause for one in again.findings] == ["lst_offset"]
-    monkeypatch.setenv("LBACAL_JUDGE", "competing")
-    with pytest.raises(BadInputError, match="LBACAL_JUDGE: expected one of search, compete, found 'competing'"):
-        lbacal.investigate(late, "lofar-superterp", sky)

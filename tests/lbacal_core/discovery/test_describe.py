@@ -7,23 +7,19 @@ import numpy as np
 import pytest
 
 from lbacal_core.causes.catalogue import CAUSES
-from lbacal_core.causes.grammar import parts_of, sentence
+from lbacal_core.causes.grammar import parts_of
 from lbacal_core.causes.model import Model
 from lbacal_core.causes.own import FORMAT, NamedSentence, catalogue_with
-from lbacal_core.data.judges import JUDGES
-from lbacal_core.discovery import search
-from lbacal_core.discovery.describe import CERTAIN, Description, describe_structure, notice
-from lbacal_core.discovery.findings import Finding, Grown
-from lbacal_core.discovery.hypothesis import Hypothesis, list_targets
+from lbacal_core.discovery.describe import CERTAIN, Description, describe_structure
+from lbacal_core.discovery.hypothesis import list_targets
 from lbacal_core.discovery.policy import Policy
-from lbacal_core.discovery.refit import fit_chain, refit
+from lbacal_core.discovery.refit import fit_chain
 from lbacal_core.discovery.report import investigate
 from lbacal_core.discovery.residual_structure import find_structure, strongest_structure
-from lbacal_core.discovery.scan import Score
-from lbacal_core.discovery.sentences import SENTENCE
+from lbacal_core.discovery.search import search_station
 from lbacal_core.discovery.station import gather_stations
 from lbacal_twin.faults.sky import IonosphericAbsorption
-from lbacal_twin.faults.uncatalogued import AuroralAbsorption, FieldGradient, FrostAndHeat, MainsHum, WorkingWeek
+from lbacal_twin.faults.uncatalogued import AuroralAbsorption, FieldGradient, MainsHum, WorkingWeek
 
 
 @pytest.mark.long
@@ -117,45 +113,21 @@ def test_a_cause_of_a_column_waits_for_data_that_have_it(station):
 
 
 @pytest.mark.long
-def test_a_cause_that_a_sentence_explains_better_is_not_named_by_compete(spoil, simulation):
+def test_a_cause_that_a_sentence_explains_better_is_not_named(spoil, simulation):
     """A catalogue without absorption in the ionosphere has neighbours of it, and no sentence is one of them."""
     known = replace(simulation, catalogue=[one for one in CAUSES if one.identifier != "ionospheric_absorption"])
-    spectra, named = spoil(IonosphericAbsorption(size=0.04)), dict[str, list[str]]()
-    for judge in JUDGES:
-        report, _ = investigate(spectra, known, judge=judge)
-        named[judge] = [one["cause"] for one in report["findings"]]
-        assert report["provenance"]["judge"] == judge
-    assert named["search"]
-    assert named["compete"] == []
+    report, _ = investigate(spoil(IonosphericAbsorption(size=0.04)), known)
+    assert report["findings"] == []
     assert report["verdict"] == "unexplained"
     assert "the power of the sky" in report["unexplained"]["in_words"]
 
 
-def test_a_sentence_beside_a_structure_was_a_finding_of_compete(spoil, simulation, monkeypatch):
-    """It stood among the causes as "sentence"; beside a structure it is more structure."""
-    (data,) = gather_stations(spoil(FrostAndHeat(size=0.09)), simulation)
-    template, asked = sentence("receiver", ("flat",), ("working days",)), list[str]()
-
-    def grow_a_sentence(first, axis, _, search):
-        asked.append(axis.name)
-        last = refit(first, Hypothesis(SENTENCE, template, search.targets[-1], 0.05))
-        score = Score(SENTENCE, template, search.targets[-1], 9.0, 0.05, 300, 1e-9)
-        return Grown(last, [first], [Finding(last.hypotheses[-1], score, [], 2.0, 1.0, 9, 40.0, np.zeros((16, 51)))])
-
-    monkeypatch.setattr(search, "_grow_beside", grow_a_sentence)
-    monkeypatch.setattr(search, "_withdrawn", lambda *_: [])  # the data show it beside the structure
-    monkeypatch.setattr(search, "chance_of_following", lambda *_: 1.0)
-    report = search.search_station(data)
-    assert asked
-    assert report.structure is not None
-    assert report.findings == []
-
-
-def test_what_the_test_along_axes_is_too_wide_for_is_noticed_by_its_sentence(spoil, clean, simulation):
+@pytest.mark.long
+def test_what_the_test_along_axes_is_too_wide_for_is_said_by_a_sentence(spoil, clean, simulation):
     """Absorption in some nights of a solar rotation was consistent: its axis has 24 functions, a gate none."""
     (spoilt,), (quiet,) = (gather_stations(one, simulation) for one in (spoil(AuroralAbsorption(size=0.06)), clean))
-    for data, axes in ((spoilt, {"date, period 27.3 d", "utc"}), (quiet, {None})):  # by night, in some nights
-        linear = fit_chain(data).linear
-        assert find_structure(linear, np.random.default_rng(0), 0.002) is None
-        found = notice(linear, list_targets(data), 0.002)
-        assert (found and found.axis_name) in axes
+    assert find_structure(fit_chain(spoilt).linear, np.random.default_rng(0), 0.002) is None
+    report = search_station(spoilt)
+    assert report.findings == []
+    assert report.structure.axis_name in {"date, period 27.3 d", "utc"}  # by night, in some nights
+    assert search_station(quiet).structure is None

@@ -92,7 +92,7 @@ def test_rivals_are_told_with_their_odds_and_the_judge_with_them(pair):
     assert [one["odds"] for one in rivals] == sorted((one["odds"] for one in rivals), reverse=True)
     for one in rivals:
         assert one["odds"] == pytest.approx(np.exp(-0.5 * one["delta_chi2"]))
-    assert report["provenance"]["judge"] == "search"
+    assert report["provenance"]["judge"] == "compete"
 
 
 def test_the_noise_and_the_scores_of_both_stations_are_reported(pair):

@@ -8,6 +8,7 @@ import pytest
 
 from lbacal_core.calibration.fit import MIN_EVENTS
 from lbacal_core.curves.validity import Scope
+from lbacal_core.discovery.policy import Policy
 from lbacal_core.spectra.spectra import Spectra
 from service.factory import Factory
 from service.page.render import format_day
@@ -68,9 +69,11 @@ def test_a_year_with_too_few_events_for_a_fit_is_not_yet_due(nightly: Factory, c
         assert len(list(nightly.investigations.due(stores))) == 2
 
 
-def test_another_judge_makes_an_investigation_due_again(nightly: Factory) -> None:
-    with like(nightly, nightly_investigations=True, judge="compete") as other, nightly.database.read() as stores:
-        (one, *_), (again, *_) = (list(use.investigations.due(stores)) for use in (nightly, other))
+def test_another_threshold_makes_an_investigation_due_again(nightly: Factory, monkeypatch) -> None:
+    with nightly.database.read() as stores:
+        one, *_ = nightly.investigations.due(stores)
+        monkeypatch.setattr("service.usecases.investigations.Policy", lambda: Policy(most_findings=4))
+        again, *_ = nightly.investigations.due(stores)
     assert one[0] == again[0]
     assert one[1] != again[1]
 
