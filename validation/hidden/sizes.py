@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from lbacal_core.grids import Floats
 from lbacal_twin.faults.fault import driver
-from lbacal_twin.faults.hardware import CableReflection, ResonanceFault, ResonanceShift
+from lbacal_twin.faults.hardware import CableReflection, ResonanceFault, ResonanceShift, circuit_response
 from lbacal_twin.faults.sky import RfiLine
 from validation.hidden.data_sets import DataSet, Planted
+
+WIDE_MHZ = np.arange(25.0, 110.0, 0.01)
+"""Frequencies over which the half-power points of a circuit are sought."""
 
 
 def size_pull(data: DataSet, planted: Planted, finding: Mapping[str, Any]) -> float | None:
@@ -47,27 +48,27 @@ def planted_size(data: DataSet, planted: Planted) -> float:
     if not isinstance(fault, ResonanceFault):
         return fault.size
     strength = driver(fault.follows, scene)
-    size = _of_gain(data, fault) if fault.is_circuit else fault.size
+    peak_mhz = float(scene.frequency_mhz[np.argmax(data.instrument.antenna_gain)])
+    size = _of_circuit(fault, peak_mhz) if fault.is_circuit else fault.size
     return size * float(strength[strength != 0].mean()) if fault.follows in ("wet", "rain", "soaked") else size
 
 
-def _of_gain(data: DataSet, fault: ResonanceFault) -> float:
-    """What a circuit of another size does to the resonance of G_ant: its place in MHz, or ln of its width."""
-    stages, scene = data.detector.station.stages, data.scene
-    ratio = replace(fault, follows="wet").alter(stages, scene).antenna / stages.antenna
-    wet = ratio[..., int(np.argmax(scene.rain_mm_h)), :].reshape(-1, scene.frequency_mhz.size)
-    changed = wet[np.argmax(np.abs(wet - 1.0).sum(axis=1))]
-    gain = data.instrument.antenna_gain
-    before, after = (_resonance(scene.frequency_mhz, curve) for curve in (gain, gain * changed))
+def _of_circuit(fault: ResonanceFault, peak_mhz: float) -> float:
+    """What a fault at full strength does to the circuit's half-power points: their middle, MHz, or ln of the width.
+
+    Reports state this of their circuit. In G_ant the same circuit moves the half-power points by half as much or half
+    as much again, as the other losses beside the resonance fall.
+    """
+    shift, widening = fault.change(np.ones((1, 1)))
+    built, changed = (np.array(peak_mhz), np.array(1.0)), (peak_mhz + shift[0, 0], 1.0 + widening[0, 0])
+    before, after = (_half_power(circuit_response(WIDE_MHZ, *one)) for one in (built, changed))
     at = 0 if isinstance(fault, ResonanceShift) else 1
     return float(after[at] - before[at])
 
 
-def _resonance(frequency_mhz: Floats, gain: Floats) -> tuple[float, float]:
-    """Middle of the half-power points of a gain, MHz, and ln of the width between them."""
-    curve = CubicSpline(frequency_mhz, np.log(gain))
-    extremes = curve.derivative().roots(extrapolate=False)
-    peak = extremes[np.argmax(curve(extremes))]
-    half = CubicSpline(frequency_mhz, np.log(2 * gain) - curve(peak)).roots(extrapolate=False)
-    above, below = half[half > peak].min(), half[half < peak].max()
-    return float((above + below) / 2), float(np.log(above - below))
+def _half_power(gain: Floats) -> tuple[float, float]:
+    """Middle of the half-power points of a gain over `WIDE_MHZ`, MHz, and ln of the width between them."""
+    top = int(np.argmax(gain))
+    below = float(np.interp(0.5 * gain[top], gain[:top], WIDE_MHZ[:top]))
+    above = float(np.interp(-0.5 * gain[top], -gain[top:], WIDE_MHZ[top:]))
+    return (above + below) / 2, float(np.log(above - below))
