@@ -5,8 +5,9 @@ a third of the skies lies outside every model. Event gains act where they are dr
 whole station, 48 antennas. No effect is hidden in an antenna that is deaf, or that died before it had the 60
 spectra of a fit: a search leaves them out.
 Parts: nothing hidden (nothing); pulls of C, the sky told (pulls); one effect of a drawn cause (one); effects on a cable
-name or a group (targets); effects in no catalogue (unknown); effects that look like a vector of the noise, at three
-sizes (like-noise).
+name or a group (targets); effects in no catalogue (unknown); gains of 1-6 % along LST, UTC and temperature, in a drawn
+world of six antennas or with P_sky given (waves); effects that look like a vector of the noise, at three sizes
+(like-noise); the sizes of causes of sky, pattern and time that a free sky hides (hidden).
 
 Where nothing is hidden a name is never right, and silence is where the models span the difference. Where the resonance
 moves in rain, a resonance that is named as following rain says what the world does
@@ -25,11 +26,15 @@ from functools import partial
 
 import numpy as np
 
+from lbacal_twin.faults.composed import Composed
+from lbacal_twin.faults.uncatalogued import FrostAndHeat
 from validation.hidden import no_catalogue, pulls
 from validation.hidden.data_sets import STATIC, DataSet, moving_causes
 from validation.hidden.drawn import SPANNED_SIGMA, describe_world, drawn_data, unspanned_sigma
 from validation.hidden.one_effect import NAMING_SNR, Outcome, detection_curve, hide_in, outcomes_of
-from validation.machinery.claims import Found, One, mean_of, rate_of
+from validation.hidden.worlds import EVERYTHING, OWN
+from validation.hidden.worlds import draw as draw_world
+from validation.machinery.claims import Found, One, mean_of, median_interval, rate_of
 from validation.machinery.parts import Part, Row
 from validation.machinery.tables import by
 
@@ -52,6 +57,24 @@ ALIKE = (
 """Causes, and the form of the noise that looks like each along frequency."""
 NOISE_SNRS = (10.0, 30.0, 100.0)
 FEWEST = 3
+WAVES_FROM, HIDDEN_FROM = 1_500_000_000, 1_600_000_000
+"""Seeds of these parts."""
+ALONG = ("lst", "utc", "temperature")
+"""Axes that gains follow."""
+LEAST, MOST = 0.01, 0.06
+"""Limits of their size, fraction."""
+OF_THE_SKY = {
+    "lst_offset": "h",
+    "zenith_weighting": "",
+    "pattern_width": "%",
+    "isotropic_level": "%",
+    "point_source": "",
+    "dipole_azimuth": "deg",
+    "dipole_swap": "%",
+}
+"""Static causes of sky, pattern and time, with the units of their sizes."""
+SEEN_SNR = 5.0
+"""Ideal SNR at which half of the effects are seen, about."""
 
 
 def listen(seed: int) -> Row:
@@ -91,6 +114,34 @@ def try_like_noise(seed: int) -> Row:
         raise ValueError(f"data set {data.seed} has no world of its own")
     data = replace(data, world=replace(data.world, noise=noise))
     return hide(data, seed, cause, NOISE_SNRS[seed // len(ALIKE) % len(NOISE_SNRS)], ("station",))
+
+
+def try_waves(seed: int) -> Row:
+    """A gain of the whole station; what it follows takes turns, then whether P_sky is given."""
+    rng, along = np.random.default_rng([15, seed]), ALONG[seed % len(ALONG)]
+    size, is_given, number = float(rng.uniform(LEAST, MOST)), bool(seed // len(ALONG) % 2), WAVES_FROM + seed
+    data = DataSet(number, nuisances=EVERYTHING, world=draw_world(number, OWN))
+    waves, phase = int(rng.integers(1, 3)), float(rng.uniform(0.0, 2.0 * np.pi))
+    course = ("sidereal wave", (waves, phase)) if along == "lst" else ("wave", (1.0 / waves, phase))
+    wave = Composed(size=size, place="gain", law=("level", ()), courses=(course,))
+    fault = FrostAndHeat(size=size) if along == "temperature" else wave
+    answer = (DataSet(number) if is_given else data).ask([fault])
+    return {
+        "along": along,
+        "given": is_given,
+        "size": round(size, 4),
+        "verdict": answer.verdict,
+        "named": answer.named,
+        "axis": answer.axis,
+    }
+
+
+def try_hidden(seed: int) -> Row:
+    """The size of each cause of sky, pattern and time, in the whole station, that an ideal detector begins to see."""
+    data, rng = drawn_data(HIDDEN_FROM + seed), np.random.default_rng([3, seed])
+    drawn = {cause: data.draw(cause, rng, ("station",)).fault for cause in OF_THE_SKY}
+    seen = {cause: abs(fault.size) * SEEN_SNR / data.detector.linear_snr([fault]) for cause, fault in drawn.items()}
+    return {**describe_world(data), **seen}
 
 
 def is_spanned(row: Row) -> bool:
@@ -158,11 +209,28 @@ def judge_like_noise(rows: Sequence[Row]) -> list[Found]:
     return [mean_of(f"kept_{snr:g}", shares) for snr, shares in kept.items() if len(shares) >= FEWEST]
 
 
+def judge_waves(rows: Sequence[Row]) -> list[Found]:
+    return [
+        rate_of("named", sum(bool(row["named"]) for row in rows), len(rows)),
+        rate_of("said", sum(not is_silent(row) for row in rows), len(rows)),
+    ]
+
+
+def judge_hidden(rows: Sequence[Row]) -> list[Found]:
+    sizes = {cause: np.array([row[cause] for row in rows]) for cause in OF_THE_SKY}
+    return [
+        One(cause, float(np.median(own)), partial(median_interval, own), own.size, OF_THE_SKY[cause])
+        for cause, own in sizes.items()
+    ]
+
+
 PARTS = (
     Part("nothing", listen, judge_nothing, 3000, by("noise", "outside"), ("named",)),
     *pulls.PARTS,
     Part("one", try_one, judge_one, 2000, by("cause", "snr"), ("named",)),
     Part("targets", try_target, judge_targets, 200, by("cause", "scope")),
     *no_catalogue.PARTS_IN_WORLDS,
+    Part("waves", try_waves, judge_waves, 300, by("along", "given")),
     Part("like-noise", try_like_noise, judge_like_noise, 90, by("cause", "snr")),
+    Part("hidden", try_hidden, judge_hidden, 40),
 )
