@@ -1,0 +1,94 @@
+"""Build the site of the documentation: the pages of docs/, the notebooks with what they give, the API, a gallery.
+
+    .venv/bin/python validation/scripts/build_site.py [--without-notebooks]
+
+The site is in var/site/html; a link that leads nowhere ends the build.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import shutil
+import sys
+from pathlib import Path
+
+import jupytext
+from mkdocs.commands.build import build
+from mkdocs.config import load_config
+from nbclient import NotebookClient
+from nbconvert import MarkdownExporter
+from nbformat.v4 import new_code_cell
+
+HERE = Path(__file__).resolve().parents[2]
+DOCS, PAGES = HERE / "docs", HERE / "var/site/pages"
+LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)\s#]+)(#[^)\s]*)?\)")
+TIGHT = re.compile(r"^(?!- |\* |\d+\. |\||>|#| ).+\n(?=- |\d+\. |\|)", re.MULTILINE)
+"""The end of a paragraph that a list or a table follows at once: on the site they need an empty line between them."""
+FIRST = ["README.md", {"First hour": "notebooks/first-hour.md"}]
+FOLDERS = ["notebooks", "tutorials", "how-to", "explanation", "formats"]
+LAST = ["reference", "commands", "settings", "causes", "logbook", "glossary", "gallery", "validation"]
+SECONDS = 300
+
+
+def main(arguments: list[str]) -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--without-notebooks", action="store_true", help="show their code and do not run it")
+    chosen = parser.parse_args(arguments)
+    shutil.rmtree(PAGES, ignore_errors=True)
+    shutil.copytree(DOCS, PAGES, ignore=shutil.ignore_patterns("notebooks"))
+    for notebook in sorted((DOCS / "notebooks").glob("*.md")):
+        print(f"{notebook.relative_to(HERE)}", flush=True)
+        write_notebook(notebook, is_run=not chosen.without_notebooks)
+    for page in sorted(PAGES.rglob("*.md")):
+        text = TIGHT.sub(lambda end: f"{end[0]}\n", page.read_text(encoding="utf-8"))
+        page.write_text(keep_inside(text, page.parent), encoding="utf-8")
+    pictures = sorted((DOCS / "images").glob("*.png"))
+    gallery = (f"## {one.stem.replace('-', ' ')}\n![]({one.relative_to(DOCS)})\n" for one in pictures)
+    (PAGES / "gallery.md").write_text("\n".join(["# Gallery\n", *gallery]), encoding="utf-8")
+    menu = [*FIRST, *(list_pages(folder) for folder in FOLDERS), *(f"{page}.md" for page in LAST)]
+    config = load_config(str(HERE / "mkdocs.yml"), nav=menu, strict=True)
+    build(config)
+
+
+def keep_inside(text: str, folder: Path) -> str:
+    """The text of a page without links to what is not on the site; a link to a folder leads to its index."""
+
+    def write(link: re.Match[str]) -> str:
+        picture, words, target, anchor = link[1], link[2], link[3], link[4] or ""
+        if "://" in target:
+            return link[0]
+        place = (folder / target).resolve()
+        if not place.is_relative_to(PAGES) or (place.is_dir() and not (place / "README.md").exists()):
+            return words
+        return f"{picture}[{words}]({target.rstrip('/')}{'/README.md' if place.is_dir() else ''}{anchor})"
+
+    return LINK.sub(write, text)
+
+
+def write_notebook(notebook: Path, *, is_run: bool) -> None:
+    """The page of a notebook with its outputs, and the notebook itself to be fetched."""
+    read, folder = jupytext.read(notebook), PAGES / "notebooks"
+    read.cells.insert(0, new_code_cell("%matplotlib inline"))
+    folder.mkdir(exist_ok=True)
+    if is_run:
+        os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+        NotebookClient(read, timeout=SECONDS, kernel_name="python3", resources={"metadata": {"path": folder}}).execute()
+    jupytext.write(read, folder / f"{notebook.stem}.ipynb")
+    del read.cells[0]
+    body, files = MarkdownExporter().from_notebook_node(read, {"unique_key": notebook.stem})
+    for name, picture in files["outputs"].items():
+        (folder / name).write_bytes(picture)
+    fetch = f"\n[The notebook]({notebook.stem}.ipynb)\n"
+    (folder / f"{notebook.stem}.md").write_text(body + fetch, encoding="utf-8")
+
+
+def list_pages(folder: str) -> dict[str, list[str]]:
+    """The part of the menu with the pages of a folder, its index first."""
+    pages = sorted((PAGES / folder).glob("*.md"), key=lambda page: (page.name != "README.md", page.name))
+    return {folder.replace("-", " ").capitalize(): [str(page.relative_to(PAGES)) for page in pages]}
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
