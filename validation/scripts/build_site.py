@@ -12,6 +12,7 @@ import os
 import re
 import shutil
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import jupytext
@@ -29,6 +30,27 @@ TIGHT = re.compile(r"^(?!- |\* |\d+\. |\||>|#| ).+\n(?=- |\d+\. |\|)", re.MULTIL
 FIRST = ["README.md", {"First hour": "notebooks/first-hour.md"}]
 FOLDERS = ["notebooks", "tutorials", "how-to", "explanation", "formats"]
 LAST = ["reference", "commands", "settings", "causes", "logbook", "glossary", "gallery", "validation"]
+TASKS = {
+    "Calibrate": ("fit.fit", "fit.Calibration", "budget.budget", "audit.audit"),
+    "Question the simulation": (
+        "investigate.investigate",
+        "investigate.Investigation",
+        "investigate.Finding",
+        "lst_curve.lst_curve",
+    ),
+    "Predict": ("predict.predict", "predict.Prediction"),
+    "Data and instruments": (
+        "data.read",
+        "data.import_data",
+        "data.simulate",
+        "instrument.Instrument",
+        "instrument.Antenna",
+        "instrument.Site",
+    ),
+    "Ask the service": ("life.life",),
+}
+"""What `lbacal.analysis` offers, by task; beside it chains and the client."""
+ELSEWHERE = {"Data and instruments": ("chain.Chain", "chain.Stage"), "Ask the service": ("client.Client",)}
 SECONDS = 300
 
 
@@ -47,6 +69,7 @@ def main(arguments: list[str]) -> None:
     pictures = sorted((DOCS / "images").glob("*.png"))
     gallery = (f"## {one.stem.replace('-', ' ')}\n![]({one.relative_to(DOCS)})\n" for one in pictures)
     (PAGES / "gallery.md").write_text("\n".join(["# Gallery\n", *gallery]), encoding="utf-8")
+    (PAGES / "reference.md").write_text("\n".join(list_reference()), encoding="utf-8")
     menu = [*FIRST, *(list_pages(folder) for folder in FOLDERS), *(f"{page}.md" for page in LAST)]
     config = load_config(str(HERE / "mkdocs.yml"), nav=menu, strict=True)
     build(config)
@@ -82,6 +105,15 @@ def write_notebook(notebook: Path, *, is_run: bool) -> None:
         (folder / name).write_bytes(picture)
     fetch = f"\n[The notebook]({notebook.stem}.ipynb)\n"
     (folder / f"{notebook.stem}.md").write_text(body + fetch, encoding="utf-8")
+
+
+def list_reference() -> Iterator[str]:
+    """The lines of the page of the API."""
+    yield "# The API by task\n"
+    for task, names in TASKS.items():
+        yield f"## {task}\n"
+        yield from (f"::: lbacal.analysis.{name}\n" for name in names)
+        yield from (f"::: lbacal.{name}\n" for name in ELSEWHERE.get(task, ()))
 
 
 def list_pages(folder: str) -> dict[str, list[str]]:
