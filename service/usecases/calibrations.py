@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 from lbacal.instants import SECOND_US, format_instant
 from lbacal_core.calibration.spreads import ToldCurve, tell_reference
@@ -19,8 +20,11 @@ from service.storage.database import Database
 from service.storage.ledger import Neighbours
 from service.storage.versions import Version
 
-VERSIONS_REMEMBERED = 1200
-"""Versions, and curves as texts, that stay in memory: those of all paths of the Superterp in two years, 40 MB."""
+FEWEST_REMEMBERED = 1200
+"""Versions, and curves as texts, that stay in memory at least: of all paths of the Superterp in two years, 40 MB.
+
+Of an instrument with more paths one for each: a cache that is swept from end to end would hold none that is asked for.
+"""
 BUDGETS_REMEMBERED = 100
 
 
@@ -142,9 +146,21 @@ class Calibrations:
     database: Database
     instrument: Instrument
     clock: Callable[[], Instant]
-    versions: Remembered[str, Version] = field(default_factory=lambda: Remembered(VERSIONS_REMEMBERED))
     budgets: Remembered[str, str] = field(default_factory=lambda: Remembered(BUDGETS_REMEMBERED))
-    written: Remembered[CurveInEffect, WrittenCurve] = field(default_factory=lambda: Remembered(VERSIONS_REMEMBERED))
+
+    @cached_property
+    def versions(self) -> Remembered[str, Version]:
+        """Versions by their id."""
+        return Remembered(self._remembered)
+
+    @cached_property
+    def written(self) -> Remembered[CurveInEffect, WrittenCurve]:
+        """Curves as texts."""
+        return Remembered(self._remembered)
+
+    @property
+    def _remembered(self) -> int:
+        return max(FEWEST_REMEMBERED, len(self.instrument.antennas) * len(self.instrument.dipoles))
 
     def in_effect(
         self, at: Instant, paths: Sequence[Scope], as_of: Instant | None = None, *, hold: bool = False

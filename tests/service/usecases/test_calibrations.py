@@ -17,7 +17,7 @@ from fastapi.testclient import TestClient
 
 from lbacal.cli.client import print_curve
 from lbacal.client import make_table
-from lbacal.instants import format_instant
+from lbacal.instants import format_instant, parse_instant
 from lbacal_core.curves.covariance import parse_budget
 from lbacal_core.curves.reference_chain import CableTable, ReferenceChain
 from lbacal_core.curves.validity import Scope
@@ -27,6 +27,7 @@ from lbacal_core.provenance import hash_content
 from lbacal_twin.campaign import Campaign
 from service.app import make_app
 from service.factory import Factory
+from service.usecases.calibrations import select_paths
 from service.wire.answers import to_json
 from tests.service.conftest import like, served, work
 
@@ -291,3 +292,16 @@ def test_what_is_answered_from_memory_is_what_was_told_first_in_all_cables_and_a
             assert found.content == to_json(body), "the same bytes as those of the object"
             named = {curve["covariance"]["systematic"]["budget"] for curve in body["curves"] if "covariance" in curve}
             assert set(body["budgets"]) == named - {None}
+
+
+@pytest.mark.usefixtures("http")
+def test_the_curves_of_all_paths_are_read_and_written_once(service: Factory, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beyond 1,200 paths a cache that was swept from end to end held none, and an answer was four times as dear."""
+    monkeypatch.setattr("service.usecases.calibrations.FEWEST_REMEMBERED", 1)
+    use = replace(service.calibrations)
+    paths = select_paths(service.instrument, None, None, None)
+    written: list[Any] = []
+    for _ in range(2):
+        found = use.in_effect(parse_instant("at", AT), paths)
+        use.write(found.curves, lambda curve: written.append(curve) or curve)
+    assert len(found.curves) == len(paths) == len(written) > 1
