@@ -21,9 +21,9 @@ from service.storage.ledger import Neighbours
 from service.storage.versions import Version
 
 FEWEST_REMEMBERED = 1200
-"""Versions, and curves as texts, that stay in memory at least: of all paths of the Superterp in two years, 40 MB.
+"""Versions, and curves as texts, that stay in memory: the Superterp's of two years, 40 MB.
 
-Of an instrument with more paths one for each: a cache that is swept from end to end would hold none that is asked for.
+An instrument with more paths has one for each: a cache that is swept from end to end would hold none that is asked for.
 """
 BUDGETS_REMEMBERED = 100
 
