@@ -237,6 +237,8 @@ def _tell_finding(finding: Mapping[str, Any]) -> Iterator[str]:
     yield f"  {finding['significance_sigma']:.1f} sigma: {finding['sentence']}"
     if finding["indistinguishable"]:
         yield f"    these data cannot tell it from {', '.join(finding['indistinguishable'])}"
+    if not finding["evidence"].get("is_converged", True):
+        yield "    caution: the fit of all causes together has not converged"
     if rivals := tell_rivals(finding):
         yield f"    rivals, with their odds to it: {rivals}"
 

@@ -11,7 +11,9 @@ from astropy.table import QTable
 from matplotlib.figure import Figure
 
 import lbacal
+from lbacal.analysis.investigate import _tell
 from lbacal.analysis.result import Result
+from lbacal.pages.finding import tell_finding
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.lstcurve.curve import measured_curve
@@ -142,3 +144,17 @@ def test_data_are_imported_with_what_was_left_out(tmp_path: Path) -> None:
         lbacal.import_data(tmp_path / "a.csv", average=0)
     with pytest.raises(BadInputError, match=r"^since, until: expected an end after the beginning"):
         lbacal.read(tmp_path / "S.h5", since="2014-04-01", until="2014-03-01")
+
+
+def test_rivals_and_a_fit_that_has_not_converged_are_told_in_the_terminal_and_on_the_page(late: Spectra, sky) -> None:
+    content = json.loads(json.dumps(lbacal.investigate(late, "lofar-superterp", sky).report))
+    finding = content["findings"][0]
+    finding["evidence"] |= {
+        "is_converged": False,
+        "rivals": [{"cause": "point_source", "target": "station", "delta_chi2": 9.2, "odds": 0.01}],
+    }
+    told, page = "\n".join(_tell(content)), dict(tell_finding(finding))
+    assert "caution: the fit of all causes together has not converged" in told
+    assert "rivals, with their odds to it: point_source (station) 0.01 : 1" in told
+    assert page["rivals, with their odds to it"] == "point_source (station) 0.01 : 1"
+    assert "not converged" in page["caution"]
