@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
-from lbacal_core.curves.validity import Scope, Stretch, timeline
+import numpy as np
+
+from lbacal_core.calibration.spreads import tell_reference
+from lbacal_core.curves.validity import Instant, Scope, Stretch, timeline
 from lbacal_core.instrument.instrument import Instrument
 from service.storage.alarms import STATES, Alarm, AlarmsAsked
 from service.storage.changes import Epoch, KeptChange, concerns, split_epochs
@@ -13,7 +17,7 @@ from service.storage.database import Database
 from service.storage.models import Investigation
 from service.storage.versions import Version
 from service.usecases.alarms import Alarms
-from service.usecases.calibrations import select_paths
+from service.usecases.calibrations import ByAntenna, find_courses, follow, group_by_antenna, select_paths
 from service.usecases.changes import Changes
 from service.usecases.models import AdoptedModel, Models
 
@@ -21,13 +25,25 @@ MOST = 1000
 """Versions, alarms and investigations of a life; the newest ones."""
 
 
+class Factor(NamedTuple):
+    """C that follows ramps and seasons at an instant over C of its version, mean over the band, and its error."""
+
+    at: Instant
+    value: float
+    sigma: float
+
+
 @dataclass(frozen=True)
 class Life:
-    """All that is known of a scope, each in order of time."""
+    """All that is known of a scope, each in order of time.
+
+    `factors` are those of each stretch in effect at the beginnings of its months; None where C stands still.
+    """
 
     scope: Scope
     epochs: Sequence[Epoch]
     in_effect: Sequence[Stretch]
+    factors: Sequence[Sequence[Factor] | None]
     versions: Sequence[Version]
     changes: Sequence[KeptChange]
     causes: Sequence[AdoptedModel]
@@ -49,21 +65,37 @@ class Lives:
         """The life of a path, of a station, or of the array."""
         select_paths(self.instrument, station, antenna, dipole)
         scope = Scope(station, antenna, dipole)
-        changes = [one for one in self.changes.list_all(station) if concerns(one, antenna, dipole)]
+        near = [one for one in self.changes.list_all() if station is None or one.change.station in (None, station)]
+        changes = [one for one in near if concerns(one, antenna, dipole)]
         alarms = self.alarms.newest(AlarmsAsked(STATES, MOST, station=station))
         with self.database.read() as stores:
             stretches = [
                 one for one in timeline(stores.ledger.standing(scope.widening), scope) if one.calibration is not None
             ]
-            versions = stores.versions.newest(scope, (str(one.calibration) for one in stretches))
+            names = [str(one.calibration) for one in stretches]
+            versions, answering = stores.versions.newest(scope, names), stores.versions.get_many(names)
             made = [] if station is None else stores.investigations.newest(before=None, station=station, limit=MOST)
+        of_antenna = group_by_antenna(changes)
         return Life(
             scope,
             split_epochs(scope, changes),
             stretches,
+            [_follow_months(one, answering[str(one.calibration)], of_antenna) for one in stretches],
             versions,
             sorted(changes, key=lambda one: one.change.date),
             [one for one in self.models.history() if one.change.station == station][::-1],
             [one for one in alarms if one.news.scope in scope.widening or scope in one.news.scope.widening][::-1],
             list(made)[::-1],
         )
+
+
+def _follow_months(stretch: Stretch, version: Version, of_antenna: ByAntenna) -> list[Factor] | None:
+    courses = find_courses(version.scope, of_antenna)
+    if not courses:
+        return None
+    (since, until), told = version.window, tell_reference(version.curves[0])
+    ends = np.array([stretch.start or since, stretch.end or until], dtype="datetime64[us]").astype("datetime64[M]")
+    months = np.arange(ends[0], ends[1] + 1).astype("datetime64[us]").astype(np.int64).tolist()
+    inside = [at for at in months if (stretch.start or since) <= at < (stretch.end or until)]
+    followed = [(at, follow(told, version, courses, at)) for at in inside]
+    return [Factor(at, float(one.factor.mean()), one.error) for at, one in followed]

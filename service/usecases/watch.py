@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lbacal.instants import DAY_US, SECOND_US, format_instant
+from lbacal_core.calibration.courses import YEAR_S
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import name_path, write_change
 from lbacal_core.grids import Floats
@@ -23,7 +24,7 @@ from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import MODEL_VERSION, hash_content
 from service.storage.alarms import SLOPE, STEP, News
 from service.storage.changes import DRIFT as BY_DRIFT
-from service.storage.changes import LARGEST_DATE_ERROR_US, RECORD, SAME_DATE, Change, Evidence
+from service.storage.changes import LARGEST_DATE_ERROR_US, RAMP, RECORD, SAME_DATE, SEASON, Change, Evidence
 from service.storage.database import Database, Stores
 from service.storage.jobs import Part
 from service.storage.sums import DRIFT, Sums
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from lbacal_core.drift.follow import History
 
 KIND = "watch"
+YEAR_US = round(YEAR_S * SECOND_US)
 MEMBERS_NAMED = 4
 """A sentence names this many of those that changed together, and counts the others."""
 TREND_P = 0.001
@@ -116,17 +118,22 @@ def settle_changes(stores: Stores, report: Mapping[str, Any], now: Instant) -> N
 
     A change does not end because an adopted cause takes it up: the cause may be withdrawn.
     """
-    found = [(change, one) for one in report["changes"] for change in read_changes(one)]
+    found = [
+        (change, max(float(member["significance"]) for member in one["members"]), bool(one["is_known"]))
+        for one in report["changes"]
+        for change in read_changes(one)
+    ]
+    for one in report.get("slopes", ()):
+        found += [(*of, False) for of in read_courses(one, report["first_unix"])]
     for kept in stores.changes.kept():
         change = kept.change
         is_sought = stores.models.during(change.station, change.date, change.date + 1).is_plain
-        if is_sought and not any(change.is_same(one) for one, _ in found):
+        if is_sought and not any(change.is_same(one) for one, *_ in found):
             for source in (BY_DRIFT, RECORD):
                 stores.changes.end(kept.number, source, now)
-    for change, told in found:
-        strongest = max(float(one["significance"]) for one in told["members"])
-        kept = stores.changes.note(change, Evidence(BY_DRIFT, "", strongest, now))
-        if told["is_known"]:
+    for change, significance, is_known in found:
+        kept = stores.changes.note(change, Evidence(BY_DRIFT, "", significance, now))
+        if is_known:
             stores.changes.note(change, Evidence(RECORD, "", None, now))
         else:
             stores.changes.end(kept.number, RECORD, now)
@@ -144,8 +151,31 @@ def read_changes(told: Mapping[str, Any]) -> list[Change]:
         for group in groups
     ]
     # the shape of a report is that of its most significant member
-    plain = {name: one["value"] for name, one in told["shape"].items() if abs(one["value"]) > PLAIN * one["sigma"]}
-    return [replace(found[0], **plain), *found[1:]]
+    return [replace(found[0], **_plain_shape(told["shape"])), *found[1:]]
+
+
+def read_courses(told: Mapping[str, Any], first_unix: float) -> Iterator[tuple[Change, float]]:
+    """Read the slope and the season of a path as a ramp since the first event, and a season, with their significance.
+
+    What a station does beside the others differs by polarisation: its alarm says it, and a person may enter it.
+    """
+    if told["antenna"] is None:
+        return
+    of, first = (told["station"], ((told["antenna"], told["dipole"]),)), round(first_unix * SECOND_US)
+    if told["is_found"]:
+        ramp = Change(*of, RAMP, first, 0, math.expm1(told["slope"]), told["sigma"], **_plain_shape(told["shape"]))
+        yield ramp, told["significance"]
+    if told["season_is_found"]:
+        size, sigma = told["season"], told["season_sigma"]
+        largest = first + (round(told["season_phase"] * YEAR_US) - first) % YEAR_US
+        late = round(sigma / size * YEAR_US / (2 * math.pi))
+        season = Change(*of, SEASON, largest, late, math.expm1(size), sigma, **_plain_shape(told["season_shape"]))
+        yield season, told["season_significance"]
+
+
+def _plain_shape(shape: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:
+    """The tilt and curvature that are plain."""
+    return {name: one["value"] for name, one in shape.items() if abs(one["value"]) > PLAIN * one["sigma"]}
 
 
 def _paths_of(members: Sequence[Mapping[str, Any]]) -> tuple[tuple[int, str | None], ...]:

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from lbacal_core.drift.model import YEAR_S, Series, SeriesModel, median_of_members, median_over
+from lbacal_core.calibration.courses import YEAR_S
+from lbacal_core.drift.model import Series, SeriesModel, median_of_members, median_over
 from lbacal_core.drift.search import Found, search_series
 
 DAY = 86_400.0
