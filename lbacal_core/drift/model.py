@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from lbacal_core.calibration.courses import YEAR_S
+from lbacal_core.calibration.slow_changes import YEAR_S
 from lbacal_core.data.prior import read_prior
 from lbacal_core.drift.events import find_months
 from lbacal_core.grids import Floats

@@ -19,7 +19,7 @@ import numpy as np
 from sqlalchemy import Select, func, select, update
 
 from lbacal.instants import DAY_US, SECOND_US, format_instant
-from lbacal_core.calibration.courses import Course, spread_over_band
+from lbacal_core.calibration.slow_changes import SlowChange, spread_over_band
 from lbacal_core.curves.validity import Instant, Promotion, Scope
 from lbacal_core.errors import name_path
 from lbacal_core.grids import Floats
@@ -214,14 +214,14 @@ class KeptChange:
         return who if one.paths else [cut]
 
     @property
-    def course(self) -> Course | None:
-        """The course that C follows because of it, while it is in force."""
+    def slow(self) -> SlowChange | None:
+        """The ramp or season that C follows, while it is in force."""
         one = self.change
         if not self.stands or one.kind not in (RAMP, SEASON) or one.size is None:
             return None
         date, late = one.date / SECOND_US, one.sigma / SECOND_US
         shape = (one.tilt or 0.0, one.curvature or 0.0)
-        return Course(one.kind == SEASON, date, late, math.log1p(one.size), one.size_sigma or 0.0, shape)
+        return SlowChange(one.kind == SEASON, date, late, math.log1p(one.size), one.size_sigma or 0.0, shape)
 
     def seen_at(self, as_of: Instant) -> KeptChange:
         """The same with the evidence that there was at an instant."""

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from lbacal.instants import DAY_US, SECOND_US, format_instant
-from lbacal_core.calibration.courses import follow_courses
+from lbacal_core.calibration.slow_changes import follow_slow_changes
 from lbacal_core.calibration.spreads import ToldCurve, tell_reference
 from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.curves.validity import Instant, Promotion, Scope
@@ -23,7 +23,7 @@ from service.storage.versions import Version
 VERSIONS_REMEMBERED = 1200
 """Versions, and curves as texts, that stay in memory: those of all paths of the Superterp in two years, 40 MB."""
 BUDGETS_REMEMBERED = 100
-COURSE_STEP_US = 10 * DAY_US
+SLOW_STEP_US = 10 * DAY_US
 """C along a ramp or season is told for the middle of so long a time: what is cached stays true in it, and five days of
 a season are 9 % of its amplitude."""
 
@@ -33,7 +33,7 @@ class CurveInEffect:
     """The curve that answers for a path, by which promotion, and the promotions of the scopes on the way.
 
     Two are equal where they tell the same: the version never changes, and of the instant asked for only the path's
-    cable and the courses in force matter.
+    cable and the slow changes in force matter.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class CurveInEffect:
         What to know where the version answers on both sides of a change that was found; None where it does not.
     epoch
         The time between changes in force in which the instant lies.
-    courses, followed_at
+    slow, followed_at
         The ramps and seasons in force that C follows, and the instant at which it does; none and None where there are
         none.
     """
@@ -61,17 +61,17 @@ class CurveInEffect:
     without_cable: Instant | None
     changed: str | None
     epoch: Epoch
-    courses: tuple[KeptChange, ...]
+    slow: tuple[KeptChange, ...]
     followed_at: Instant | None
     version: Version = field(compare=False, repr=False)
     at: Instant = field(compare=False)
 
     @property
     def told(self) -> ToldCurve:
-        """The curve through the path's own cable, that of a reference chain as it is, along the courses in force."""
+        """The curve through the path's own cable, that of a reference chain as it is, along what changes slowly."""
         is_chain, version = self.path.antenna is None, self.version
         told = tell_reference(version.curve_of(str(self.dipole))) if is_chain else version.tell(self.path, self.at)
-        return told if self.followed_at is None else follow(told, version, self.courses, self.followed_at)
+        return told if self.followed_at is None else follow(told, version, self.slow, self.followed_at)
 
     @property
     def chain(self) -> ReferenceChain | None:
@@ -83,7 +83,7 @@ class CurveInEffect:
     def why(self) -> str:
         """Why it is this version: for what it was made and put into effect, and between which changes."""
         made, acted, epoch, told = self.version, self.promotion, self.epoch, self.told
-        named = " and ".join(f"change {one.number} ({one.change.kind})" for one in self.courses)
+        named = " and ".join(f"change {one.number} ({one.change.kind})" for one in self.slow)
         followed = f"; C follows {named}, which adds an error of {100.0 * told.error:.2f} %" if named else ""
         ends = [
             f"change {number} of {format_instant(date)[:10]} {does} its epoch"
@@ -176,8 +176,9 @@ class Calibrations:
             """The curve that a path is served; of an array that was asked for by itself, those of its chains."""
             version, trace, is_held = versions[str(promotion.calibration)], tuple(asked[path]), path in held
             changed, epoch = _find_change(promotion, of_antenna), _find_epoch(path, at, of_antenna)
-            courses = find_courses(promotion.scope, of_antenna)
-            told, followed = (promotion, is_held, trace), (courses, _middle_of_step(at) if courses else None)
+            slow = find_slow(promotion.scope, of_antenna)
+            told, step = (promotion, is_held, trace), at // SLOW_STEP_US
+            followed = slow, step * SLOW_STEP_US + SLOW_STEP_US // 2 if slow else None
             if path.antenna is None:
                 for curve in version.curves:
                     yield CurveInEffect(path, curve.dipole, *told, None, None, None, epoch, *followed, version, at)
@@ -222,11 +223,11 @@ class Calibrations:
             edges, cables = stores.ledger.edges(as_of), stores.versions.cable_changes()
             kept = stores.changes.kept(as_of=as_of)
         ends = {as_of}.union(*edges.values())
-        followed = range(min(ends) // COURSE_STEP_US * COURSE_STEP_US, max(ends), COURSE_STEP_US)
+        followed = range(min(ends) // SLOW_STEP_US * SLOW_STEP_US, max(ends), SLOW_STEP_US)
         for change in kept:
             for cut in change.cuts:
                 edges.setdefault(cut.station, set()).add(cut.date)
-            if change.course is not None:
+            if change.slow is not None:
                 edges.setdefault(change.change.station, set()).update(followed)
         everywhere = edges.get(None, set())
         found: dict[str | None, list[Instant]] = {None: sorted(everywhere)}
@@ -245,7 +246,7 @@ def group_by_antenna(kept: Iterable[KeptChange]) -> ByAntenna:
     found: dict[tuple[str | None, int | None], list[KeptChange]] = {}
     for one in kept:
         antennas: Sequence[int | None] = one.change.antennas or [None]
-        for antenna in antennas if one.cuts or one.course else ():
+        for antenna in antennas if one.cuts or one.slow else ():
             found.setdefault((one.change.station, antenna), []).append(one)
     return found
 
@@ -268,25 +269,21 @@ def _of(of_antenna: ByAntenna, station: str | None, antenna: int | None) -> list
     return [one for key in {(None, None), (station, None), (station, antenna)} for one in of_antenna.get(key, ())]
 
 
-def find_courses(scope: Scope, of_antenna: ByAntenna) -> tuple[KeptChange, ...]:
+def find_slow(scope: Scope, of_antenna: ByAntenna) -> tuple[KeptChange, ...]:
     """The ramps and seasons that C of a version follows: its own, its station's and the array's, one of a kind each.
 
     The one that a person spoke of last counts, else the newest.
     """
     near = _of(of_antenna, scope.station, scope.antenna)
-    own = [one for one in near if one.course and concerns(one, scope.antenna, scope.dipole)]
+    own = [one for one in near if one.slow and concerns(one, scope.antenna, scope.dipole)]
     own.sort(key=lambda one: (0 if one.said is None else one.said.at, one.number))
     return tuple({(one.change.kind, one.change.station, not one.change.paths): one for one in own}.values())
 
 
-def follow(told: ToldCurve, version: Version, courses: Iterable[KeptChange], at: Instant) -> ToldCurve:
-    """A curve of a version carried along courses to an instant."""
+def follow(told: ToldCurve, version: Version, slow: Iterable[KeptChange], at: Instant) -> ToldCurve:
+    """A curve of a version carried along slow changes to an instant."""
     since, until = (one / SECOND_US for one in version.window)
-    return follow_courses(told, [one.course for one in courses if one.course], at / SECOND_US, (since, until))
-
-
-def _middle_of_step(at: Instant) -> Instant:
-    return at - at % COURSE_STEP_US + COURSE_STEP_US // 2
+    return follow_slow_changes(told, [one.slow for one in slow if one.slow], at / SECOND_US, (since, until))
 
 
 def _pick_decisive(asked: Mapping[Scope, Sequence[Promotion]]) -> dict[Scope, Promotion]:

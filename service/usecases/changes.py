@@ -33,7 +33,7 @@ from service.storage.changes import (
 from service.storage.database import Database, Stores
 from service.storage.models import Investigation
 from service.storage.versions import Version
-from service.usecases.calibrations import find_courses, follow, group_by_antenna, select_paths
+from service.usecases.calibrations import find_slow, follow, group_by_antenna, select_paths
 from service.usecases.drift import year_of
 from service.usecases.gate import compare_curves
 from service.usecases.promotions import Change as ChangeOfC
@@ -121,7 +121,7 @@ class Changes:
             kept = _require_open(stores.changes.get(number), body.decision)
             then = replace(kept, said=Decision(body.decision, self.clock(), by, body.reason))
             others = [one for one in stores.changes.kept(kept.change.station) if one.number != number]
-            if kept.course or then.course:
+            if kept.slow or then.slow:
                 return then, list(self._follow(stores, [*others, kept], [*others, then], kept))
         if not [*kept.cuts, *then.cuts]:
             return then, []
@@ -140,7 +140,7 @@ class Changes:
         versions = stores.versions.get_many({str(one.calibration) for one in told.values()})
         for path, said in told.items():
             version = versions[str(said.calibration)]
-            was, now = (follow(version.tell(path, at), version, find_courses(said.scope, of), at) for of in groups)
+            was, now = (follow(version.tell(path, at), version, find_slow(said.scope, of), at) for of in groups)
             change = compare_curves(was.curve, now.curve)
             yield ChangeOfC(path, said.valid_from, said.valid_to, version.id, version.id, change)
 

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-
+from lbacal.instants import DAY_US
 from lbacal_core.calibration.spreads import tell_reference
 from lbacal_core.curves.validity import Instant, Scope, Stretch, timeline
 from lbacal_core.instrument.instrument import Instrument
@@ -17,12 +16,13 @@ from service.storage.database import Database
 from service.storage.models import Investigation
 from service.storage.versions import Version
 from service.usecases.alarms import Alarms
-from service.usecases.calibrations import ByAntenna, find_courses, follow, group_by_antenna, select_paths
+from service.usecases.calibrations import ByAntenna, find_slow, follow, group_by_antenna, select_paths
 from service.usecases.changes import Changes
 from service.usecases.models import AdoptedModel, Models
 
 MOST = 1000
 """Versions, alarms and investigations of a life; the newest ones."""
+SAMPLED_US = 30 * DAY_US
 
 
 class Factor(NamedTuple):
@@ -37,7 +37,7 @@ class Factor(NamedTuple):
 class Life:
     """All that is known of a scope, each in order of time.
 
-    `factors` are those of each stretch in effect at the beginnings of its months; None where C stands still.
+    `factors` are those of each stretch in effect, every 30 days; None where C stands still.
     """
 
     scope: Scope
@@ -80,7 +80,7 @@ class Lives:
             scope,
             split_epochs(scope, changes),
             stretches,
-            [_follow_months(one, answering[str(one.calibration)], of_antenna) for one in stretches],
+            [_follow(one, answering[str(one.calibration)], of_antenna) for one in stretches],
             versions,
             sorted(changes, key=lambda one: one.change.date),
             [one for one in self.models.history() if one.change.station == station][::-1],
@@ -89,13 +89,9 @@ class Lives:
         )
 
 
-def _follow_months(stretch: Stretch, version: Version, of_antenna: ByAntenna) -> list[Factor] | None:
-    courses = find_courses(version.scope, of_antenna)
-    if not courses:
-        return None
-    (since, until), told = version.window, tell_reference(version.curves[0])
-    ends = np.array([stretch.start or since, stretch.end or until], dtype="datetime64[us]").astype("datetime64[M]")
-    months = np.arange(ends[0], ends[1] + 1).astype("datetime64[us]").astype(np.int64).tolist()
-    inside = [at for at in months if (stretch.start or since) <= at < (stretch.end or until)]
-    followed = [(at, follow(told, version, courses, at)) for at in inside]
-    return [Factor(at, float(one.factor.mean()), one.error) for at, one in followed]
+def _follow(stretch: Stretch, version: Version, of_antenna: ByAntenna) -> list[Factor] | None:
+    """C along slow changes, every 30 days of a stretch."""
+    slow, told = find_slow(version.scope, of_antenna), tell_reference(version.curves[0])
+    since, until = stretch.start or version.since, stretch.end or version.until
+    followed = [(at, follow(told, version, slow, at)) for at in range(since, until, SAMPLED_US)] if slow else []
+    return [Factor(at, float(one.factor.mean()), one.error) for at, one in followed] or None

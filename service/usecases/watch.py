@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lbacal.instants import DAY_US, SECOND_US, format_instant
-from lbacal_core.calibration.courses import YEAR_S
+from lbacal_core.calibration.slow_changes import YEAR_S
+from lbacal_core.calibration.windows import find_hardware_changes
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import name_path, write_change
 from lbacal_core.grids import Floats
@@ -52,8 +53,8 @@ class Watch:
 
     def name_inputs(self, stores: Stores) -> str | None:
         """The hash of what a report is made from; None where nothing was measured yet."""
-        digests = stores.sums.digests(DRIFT)
-        return hash_content([digests, self._hardware_changes(), MODEL_VERSION]) if digests else None
+        digests, known = stores.sums.digests(DRIFT), sorted(find_hardware_changes(self.instrument).items())
+        return hash_content([digests, known, MODEL_VERSION]) if digests else None
 
     def run(self, part: Part, worker: str) -> None:
         """Do a part: follow, keep the report, settle the alarms."""
@@ -68,29 +69,21 @@ class Watch:
             settle_changes(stores, report if self.cuts_windows else {"changes": []}, now)
             stores.jobs.complete(part, worker, {"calibrations": []}, now)
 
-    def _hardware_changes(self) -> dict[str, list[float]]:
-        """When antennas changed, unix seconds by station and antenna, as the instrument says."""
-        found: dict[str, set[float]] = {}
-        for record in self.instrument.antennas:
-            dates = {date for date in (record.since, record.until) if date is not None}
-            found.setdefault(f"{record.station}/{record.antenna}", set()).update(dates)
-        return {name: sorted(dates) for name, dates in sorted(found.items()) if dates}
-
     def _report(self, years: Sequence[Sums]) -> dict[str, Any]:
         from lbacal_core.drift.follow import follow  # with scipy: only workers need it
         from lbacal_core.drift.report import describe_followed
 
-        history = assemble_history(years, self._hardware_changes())
+        history = assemble_history(years, find_hardware_changes(self.instrument))
         return drop_noise(describe_followed(history, follow(history), self.instrument.frequency_mhz))
 
 
-def assemble_history(years: Sequence[Sums], changes: Mapping[str, Sequence[float]]) -> History:
+def assemble_history(years: Sequence[Sums], changes: Mapping[tuple[str, int], Sequence[float]]) -> History:
     """Lay what is kept of all years and stations on one axis of events.
 
     Parameters
     ----------
     changes
-        Dates of hardware changes, s UTC, by station and antenna (``CS002/17``).
+        Dates of hardware changes, s UTC, by station and antenna.
     """
     from lbacal_core.drift.events import MODES
     from lbacal_core.drift.follow import History
@@ -104,7 +97,7 @@ def assemble_history(years: Sequence[Sums], changes: Mapping[str, Sequence[float
     for name, letter, one in modes:
         rows = np.array([row[name, antenna, letter] for antenna in one.antennas.tolist()], dtype=np.int64)
         ln_c[np.ix_(rows, np.searchsorted(time_unix, one.time_unix))] = one.ln_c
-    dates = [changes.get(f"{station}/{antenna}", ()) for station, antenna, _ in keys]
+    dates = [changes.get((station, antenna), ()) for station, antenna, _ in keys]
     known = np.full((len(keys), max(map(len, dates), default=0)), np.inf)
     for k, of_path in enumerate(dates):
         known[k, : len(of_path)] = of_path
@@ -124,7 +117,7 @@ def settle_changes(stores: Stores, report: Mapping[str, Any], now: Instant) -> N
         for change in read_changes(one)
     ]
     for one in report.get("slopes", ()):
-        found += [(*of, False) for of in read_courses(one, report["first_unix"])]
+        found += [(*of, False) for of in read_slow(one, report["first_unix"])]
     for kept in stores.changes.kept():
         change = kept.change
         is_sought = stores.models.during(change.station, change.date, change.date + 1).is_plain
@@ -154,7 +147,7 @@ def read_changes(told: Mapping[str, Any]) -> list[Change]:
     return [replace(found[0], **_plain_shape(told["shape"])), *found[1:]]
 
 
-def read_courses(told: Mapping[str, Any], first_unix: float) -> Iterator[tuple[Change, float]]:
+def read_slow(told: Mapping[str, Any], first_unix: float) -> Iterator[tuple[Change, float]]:
     """Read the slope and the season of a path as a ramp since the first event, and a season, with their significance.
 
     What a station does beside the others differs by polarisation: its alarm says it, and a person may enter it.
@@ -215,10 +208,11 @@ def tell_news(report: Mapping[str, Any], frequency_mhz: Floats, *, cuts_windows:
         is_path = slope["antenna"] is not None
         scope = Scope(slope["station"], slope["antenna"], slope["dipole"]) if is_path else Scope(slope["station"])
         beside = "its station" if is_path else "the other stations"
+        followed = "; C in effect follows that unless a person dismissed the change" if is_path and cuts_windows else ""
         amount = tell_change(slope["slope"], slope["sigma"], slope["shape"], frequency_mhz)
         sentence = (
             f"{name_path(slope['station'], slope['antenna'], slope['dipole'])}: C changes by {amount} a year "
-            f"beside {beside}"
+            f"beside {beside}{followed}"
         )
         yield News(SLOPE, scope, "" if is_path else slope["dipole"], sentence, slope)
     whole = report["trends"].get("array")

@@ -700,7 +700,7 @@ class InEffectStretch(Stretch):
     """Which version answered when."""
 
     calibration: str
-    factor: list[FactorAnswer] | None = Field(description="at the beginnings of months; null where C stands still")
+    factor: list[FactorAnswer] | None = Field(description="every 30 days; null where C stands still")
 
 
 class BadPathAnswer(Answer):

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from lbacal_core.calibration.courses import YEAR_S
+from lbacal_core.calibration.slow_changes import YEAR_S
 from lbacal_core.drift.model import Series, SeriesModel, median_of_members, median_over
 from lbacal_core.drift.search import Found, search_series
 

@@ -83,8 +83,8 @@ def test_c_follows_a_ramp_and_a_season_through_the_year(
         assert f",{early['c'][0]}," in rows, "files carry the same C"
         (of_2014, _) = http.get("/v1/paths/CS002/2/Y/life").json()["in_effect"]
         told = [one["value"] for one in of_2014["factor"]]
-        assert len(told) == 12
-        assert told[0] / told[-1] == pytest.approx(np.exp(0.06 * 334 / 365.25), rel=0.01)
+        assert len(told) == 13
+        assert told[0] / told[-1] == pytest.approx(np.exp(0.06 * 360 / 365.25), rel=0.01)
         assert "C in effect" in http.get("/paths/CS002/2/Y").text
         edges = http.get("/v1/calibrations/edges", params={"as_of": format_instant(factory.clock())}).json()["stations"]
         (of_station,) = [one["edges"] for one in edges if one["station"] == "CS002"]

@@ -1,8 +1,8 @@
 """C that goes on changing: at a rate from a date on, or with the season, beside the mean that a fit gives.
 
 A fit gives the mean of ln C over its events. Where C is known to follow the date, what is told at an instant is that
-mean times exp(d(t) - <d>): d is the course of ln C, and <d> its mean from the first event of the fit to the last, as if
-events lay evenly between them.
+mean times exp(d(t) - <d>): d is the slow change of ln C, and <d> its mean from the first event of the fit to the last,
+as if events lay evenly between them.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ POINTS = 365
 
 
 @dataclass(frozen=True)
-class Course:
-    """A course of ln C.
+class SlowChange:
+    """A ramp or a season of ln C.
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class Course:
     date_unix, date_sigma_s
         s UTC.
     size, sigma
-        Of ln C, the mean over the band: the amplitude, or the change a year; and its standard deviation.
+        The amplitude, or the change a year, of ln C in the mean over the band; and its standard deviation.
     shape
         The Legendre coefficients 1 and 2 of the same over the band.
     """
@@ -45,7 +45,7 @@ class Course:
     shape: tuple[float, float]
 
     def depart(self, time_unix: float, span_unix: tuple[float, float], late_s: float = 0.0) -> float:
-        """Where the course stands beside its mean over a span, in units of `size`; of one that is late by some time."""
+        """Where it stands beside its mean over a span, in units of `size`; of one that is late by some time."""
         years = (np.append(np.linspace(*span_unix, POINTS), time_unix) - self.date_unix - late_s) / YEAR_S
         along = np.cos(2.0 * np.pi * years) if self.is_season else np.maximum(years, 0.0)
         return float(along[-1] - along[:-1].mean())
@@ -57,12 +57,12 @@ def spread_over_band(modes: Sequence[float], frequency_mhz: Floats) -> Floats:
     return np.asarray(legendre.legval((2.0 * frequency_mhz - low - high) / (high - low), modes))
 
 
-def follow_courses(
-    told: ToldCurve, courses: Iterable[Course], time_unix: float, window_unix: tuple[float, float]
+def follow_slow_changes(
+    told: ToldCurve, slow: Iterable[SlowChange], time_unix: float, window_unix: tuple[float, float]
 ) -> ToldCurve:
-    """Carry a curve along the courses of its path to an instant.
+    """Carry a curve along the slow changes of its path to an instant.
 
-    The error of a course, in size and date, is one more systematic term of the curve.
+    The error of each, in size and date, is one more systematic term of the curve.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def follow_courses(
     window_unix
         The window of the fit, for a curve of which nobody kept the first and the last event.
     """
-    for one in courses:
+    for one in slow:
         curve, span = told.curve, told.curve.span_unix or window_unix
         moved, late = one.depart(time_unix, span), one.date_sigma_s
         of_date = (one.depart(time_unix, span, late) - one.depart(time_unix, span, -late)) / 2.0
