@@ -25,7 +25,7 @@ def tell_life(found: Mapping[str, Any]) -> list[tuple[str, str]]:
     told: dict[str, Callable[[Any], tuple[str | None, str]]] = {
         "in_effect": lambda one: (
             one["from"],
-            f"version {one['calibration'][:12]} answers until {one['to'] or 'open'}",
+            f"version {one['calibration'][:12]} answers until {one['to'] or 'open'}" + _tell_factor(one["factor"]),
         ),
         "changes": lambda one: (one["at"]["value"], f"change {one['id']}, {one['decision'].replace('_', ' ')}"),
         "causes": lambda one: (one["at"], f"{one['act']}: {one['changed']}"),
@@ -34,3 +34,9 @@ def tell_life(found: Mapping[str, Any]) -> list[tuple[str, str]]:
     }
     lines = [tell(one) for name, tell in told.items() for one in found[name]]
     return [(at[:10], words) for at, words in sorted((at or "", words) for at, words in lines)]
+
+
+def _tell_factor(factor: list[dict[str, Any]] | None) -> str:
+    """The range of C that follows ramps and seasons."""
+    low, high = (end((100.0 * (one["value"] - 1.0) for one in factor or ()), default=0.0) for end in (min, max))
+    return f", and follows {low:+.2f} to {high:+.2f} % about it" if factor else ""

@@ -33,7 +33,7 @@ from service.errors import NotInEffectError
 from service.factory import Factory
 from service.logs import configure_logs
 from service.scheduler import look_for_due_work
-from service.storage.changes import IN_FORCE, Change
+from service.storage.changes import IN_FORCE, STEP, Change
 from service.storage.migration import upgrade
 from service.wire.bodies import ChangeBody
 from validation.loop import Service
@@ -45,7 +45,7 @@ from validation.twin import CHANNELS
 
 STATION, YEARS, EVENTS = "CS002", 3.0, 250
 SINGLE = ("step", "cable", "antenna", "ramp", "season", "dead")
-KINDS = (*SINGLE, "several")
+KINDS, SLOW = (*SINGLE, "several"), ("ramp", "season")
 NEAR_S, FAR_S = 40 * DAY_S, 300 * DAY_S
 """How far from a change C is asked for."""
 NIGHTS = 4
@@ -206,7 +206,7 @@ def _pass(service: Service, seed: int) -> Row:
 
 def _enter(factory: Factory, move: Moved) -> None:
     """What the log book of the station says."""
-    if move.kind not in ("ramp", "season"):
+    if move.kind not in SLOW:
         at = {"value": format_instant(round(move.date * 1e6)), "sigma_days": 0.1}
         body = ChangeBody.model_validate({"station": STATION, "at": at, "reason": "log book"})
         factory.changes.enter(body, "log book")
@@ -240,12 +240,13 @@ def _pull(c: Floats, sigma: Floats, truth: Floats) -> list[float]:
 
 
 def _match(change: Change, moves: Sequence[Moved]) -> int | None:
-    """Which planted move a change is, if any: one of its antennas, within a month or five errors."""
+    """Which planted move a change is, if any: one of its antennas, within a month or five errors unless it is slow."""
     for number, move in enumerate(moves):
         ends = [move.date, move.date + YEAR_S] if move.kind == "dead" else [move.date]
         is_near = any(abs(change.date / 1e6 - end) < max(30 * DAY_S, 5e-6 * change.sigma) for end in ends)
         is_his = not move.where.antennas or not change.paths or set(change.antennas) & set(move.where.antennas)
-        if is_near and is_his and move.kind not in ("ramp", "season"):
+        is_it = change.kind == move.kind if move.kind in SLOW else change.kind == STEP and is_near
+        if is_it and is_his:
             return number
     return None
 
@@ -260,7 +261,7 @@ def judge(rows: Sequence[Row]) -> list[Found]:
             found.append(mean_of(f"{name}_{when}", within))
     single = [row["station"] for row in rows if row["who"] != "station" and row["station"] is not None]
     matched = [(row["moves"][one[3]], one) for row in rows for one in row["found"] if one[3] is not None]
-    dated = [abs(one[1] - move[1]) < 2 * one[2] for move, one in matched if one[0] and move[0] != "dead"]
+    dated = [abs(one[1] - move[1]) < 2 * one[2] for move, one in matched if one[0] and move[0] not in ("dead", *SLOW)]
     return [
         *found,
         rate_of("answered", sum(None not in row["pulls"].values() for row in rows), len(rows)),

@@ -64,13 +64,17 @@ def enter(
     reason: Reason,
     antenna: Antenna = None,
     sigma_days: Annotated[float, typer.Option(help="Standard deviation of that instant, days.", min=0.0)] = 0.0,
+    kind: Annotated[str, typer.Option(help="step, ramp or season.")] = "step",
+    size: Annotated[float | None, typer.Option(help="Change of C (ramp: a year), a fraction.")] = None,
+    size_sigma: Annotated[float, typer.Option(help="Its error.", min=0.0)] = 0.0,
     as_json: Json = False,
 ) -> None:
     """Enter what is known to have changed, of an antenna or of a whole station; it is in force at once.
 
     Example: lbacal changes enter 2014-05-01T12:00 --station CS002 --antenna 17 --reason "another amplifier"
     """
-    entry: dict[str, Any] = {"at": {"value": at, "sigma_days": sigma_days}, "reason": reason}
+    entry: dict[str, Any] = {"at": {"value": at, "sigma_days": sigma_days}, "kind": kind, "reason": reason}
+    entry |= {} if size is None else {"size": {"value": size, "sigma": size_sigma}}
     entry |= {"station": station} if antenna is None else {"paths": [{"station": station, "antenna": antenna}]}
     with Client() as client:
         show(client.send("POST", "/v1/changes", entry), print_change, as_json=as_json)
@@ -82,7 +86,11 @@ def print_change(one: dict[str, Any]) -> None:
     named = ", ".join(map(str, antennas[:4])) + (f" and {len(antennas) - 4} more" if len(antennas) > 4 else "")
     who = (one["station"] or "array") + (f" antenna {named}" if named else "")
     value, sigma = (100 * (one["size"] or {}).get(name, 0.0) for name in ("value", "sigma"))
-    size = "" if one["size"] is None else f", C by {value:+.1f} ± {sigma:.1f} %"
+    size = (
+        ""
+        if one["size"] is None
+        else f", C by {value:+.1f} ± {sigma:.1f} %" + (" a year" if one["kind"] == "ramp" else "")
+    )
     state = "ended" if one["ended_at"] else one["decision"].replace("_", " ")
     state += "" if one["refitted"] else ", not yet refitted"
     by = ", ".join(dict.fromkeys(source["from"] for source in one["evidence"] if source["ended_at"] is None))

@@ -291,6 +291,7 @@ def _fit_paths(
             sky_over_model=_sky_over_model(c[j], solution, j, instrument.kelvin_error) if is_good else None,
             merged=describe_merged(solution, j, terms) if is_good else None,
             repeated=together.describe(j) if is_good else None,
+            span_unix=paths.find_span(k),
         )
         curves.append((curve.as_misfit() if k in is_misfit else curve, tried.get(k, none)))
     return curves, lines, waves

@@ -45,6 +45,7 @@ class Paths:
     power: Floats
     relative_variance: Floats
     lst_hours: Floats
+    time_unix: Floats
     anomalies: Sequence[Anomaly] = ()
     smallest_scatter: float = 0.0
     scatter: Floats | None = None
@@ -62,6 +63,11 @@ class Paths:
         path_at, event_at = np.nonzero(np.isfinite(self.relative_variance))
         is_covered[path_at, bins[event_at]] = True
         return np.asarray(is_covered.sum(axis=1))
+
+    def find_span(self, path: int) -> tuple[float, float] | None:
+        """The first and the last event of a path, s UTC; None where it has none."""
+        own = self.time_unix[np.isfinite(self.relative_variance[path])]
+        return (float(own.min()), float(own.max())) if own.size else None
 
 
 Cables = Mapping[tuple[str, int], str]
@@ -143,6 +149,7 @@ def _paths_of_block(
         power=screened.power,
         relative_variance=relative_variance_of(screened, typical_blocks),
         lst_hours=simulation.sidereal_time(block.station, block.time_unix),
+        time_unix=block.time_unix,
         anomalies=fitted.anomalies,
         smallest_scatter=smallest_scatter,
         typical_blocks=typical_blocks,
@@ -175,7 +182,7 @@ def _mean_path(
     dipole = blocks[0].dipole
     channels = blocks[0].frequency_mhz.size
     mean = MeanOfEvents(events.size, channels)
-    lst_hours = np.zeros(events.size)
+    lst_hours, time_unix = np.zeros((2, events.size))
     anomalies: list[Anomaly] = []
     members: list[tuple[str, int]] = []
     found: list[MemberLines] = []
@@ -185,7 +192,7 @@ def _mean_path(
         fitted = fit(block)
         anomalies += fitted.anomalies
         at = np.searchsorted(events, block.event_id)
-        lst_hours[at] = simulation.sidereal_time(station, block.time_unix)
+        lst_hours[at], time_unix[at] = simulation.sidereal_time(station, block.time_unix), block.time_unix
         screened = leave_out(block, fitted.is_left_out)
         is_member = screened.is_present.sum(axis=1) >= MIN_EVENTS
         if np.mean(fitted.is_steady) > SHARE_OF_STEADY_PATHS:
@@ -214,6 +221,7 @@ def _mean_path(
         power=power[None],
         relative_variance=relative_variance[None],
         lst_hours=lst_hours,
+        time_unix=time_unix,
         anomalies=anomalies,
         smallest_scatter=smallest_scatter,
         scatter=np.array([np.median(np.concatenate(scatters))]) if scatters else None,

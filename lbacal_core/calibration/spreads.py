@@ -179,6 +179,8 @@ class ToldCurve:
         The path's cable at the instant asked for; None where it is not known.
     flag, reason
         ``ok``, or ``uncertain`` and why.
+    error
+        Standard deviation, as a fraction, of what follows the date in `factor`.
     """
 
     curve: CalibrationCurve
@@ -186,6 +188,7 @@ class ToldCurve:
     cable: str | None
     flag: str
     reason: str | None
+    error: float = 0.0
 
 
 def carry_to_path(

@@ -241,7 +241,7 @@ class Model:
                 expected = (
                     "a cause that does not follow the date: with one that does, one C would stand for a time in which "
                     "C changes; it is a change: put it in force by `lbacal changes` or by `since` of the antenna in "
-                    "the instrument file, and the window is cut there"
+                    "the instrument file; windows are cut at a step, and C follows a drift"
                 )
                 raise BadInputError(place, expected, f"{one.cause}{at} in {one.target} of {one.station}")
 

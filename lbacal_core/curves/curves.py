@@ -292,6 +292,8 @@ class CalibrationCurve:
         The sky over its model, where the data are calibrated in kelvin; None elsewhere.
     repeated
         The windows that were fitted together; None where there was one.
+    span_unix
+        Its first and last event, s UTC; None where nobody kept them.
     """
 
     station: str | None
@@ -313,6 +315,7 @@ class CalibrationCurve:
     merged: MergedConstants | None = None
     sky_over_model: SkyOverModel | None = None
     repeated: Repeated | None = None
+    span_unix: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         if self.status not in STATUSES:
@@ -413,6 +416,8 @@ class CalibrationCurve:
         }
         if self.repeated is not None:
             content["repeated"] = asdict(self.repeated)
+        if self.span_unix is not None:
+            content["span_unix"] = list(self.span_unix)
         if self.sky_over_model is not None:
             content["sky_over_model"] = self.sky_over_model.as_dict()
         # a version from before flags keeps its content and with it its hash
@@ -454,6 +459,7 @@ def parse_curve(content: Mapping[str, Any]) -> CalibrationCurve:
         merged=_parse_merged(content.get("merged")),
         sky_over_model=parse_sky_over_model(content.get("sky_over_model")),
         repeated=None if content.get("repeated") is None else Repeated(**content["repeated"]),
+        span_unix=None if content.get("span_unix") is None else tuple(content["span_unix"]),
     )
 
 

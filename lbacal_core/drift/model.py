@@ -8,6 +8,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from lbacal_core.calibration.slow_changes import YEAR_S
 from lbacal_core.data.prior import read_prior
 from lbacal_core.drift.events import find_months
 from lbacal_core.grids import Floats
@@ -19,7 +20,6 @@ from lbacal_core.linear import find_whitener, invert_symmetric, minus_log_likeli
 # theta = (Z^T W Z + Q)^-1 Z^T W y, where Q holds the inverse variances of what is known beforehand of the season. An
 # annual term that nobody models drives every detector of steps from 5 % to 30-80 % false alarms in seven years.
 
-YEAR_S = 365.25 * 86_400.0
 SEASON_PRIOR = read_prior()["season"].sizes
 """Standard deviations of ln C of the annual term (cosine, sine) and of the half-annual one, before any data: in a
 series that is shorter than a year they keep the season from describing a step."""

@@ -190,7 +190,10 @@ def _of_modes(value: Any, sigma: Any) -> dict[str, dict[str, float]]:
 
 
 def _slopes(found: Found, owners: list[tuple[str, int | None, str]]) -> list[dict[str, Any]]:
-    """The slope of every series beside its companions, a year, and the amplitude of its season."""
+    """The slope of every series beside its companions, a year, and its season: C is largest at that part of a year."""
+    phase = np.arctan2(found.season[:, 1, 0], found.season[:, 0, 0])
+    toward = np.stack([np.cos(phase), np.sin(phase)], axis=1)[:, :, None]
+    season, sigma = np.sum(found.season * toward, axis=1), np.hypot.reduce(found.season_sigma * toward, axis=1)
     return [
         {
             "station": station,
@@ -201,7 +204,12 @@ def _slopes(found: Found, owners: list[tuple[str, int | None, str]]) -> list[dic
             "shape": _of_modes(found.slope[k, 1:], found.slope_sigma[k, 1:]),
             "significance": round(float(found.slope_significance[k]), 2),
             "is_found": bool(found.slope_significance[k] > found.threshold),
-            "season": round(float(found.season[k, 0]), DIGITS),
+            "season": round(float(season[k, 0]), DIGITS),
+            "season_sigma": round(float(sigma[k, 0]), DIGITS),
+            "season_shape": _of_modes(season[k, 1:], sigma[k, 1:]),
+            "season_phase": round(float(phase[k] / (2 * np.pi) % 1.0), DIGITS),
+            "season_significance": round(float(found.season_significance[k]), 2),
+            "season_is_found": bool(found.season_significance[k] > found.threshold),
         }
         for k, (station, antenna, dipole) in enumerate(owners)
         if found.events[k] > 0

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from lbacal_core.drift.model import (
     MOST_STEPS,
+    OFFSET,
     SLOPE,
     STEPS,
     Lasting,
@@ -68,8 +69,10 @@ class Found:
         Those of every series, significant or not, shape (series, mode).
     slope_significance
         Shape (series,).
-    season
-        Amplitude of the annual term, shape (series, mode).
+    season, season_sigma
+        The annual term, cosine and sine, shape (series, 2, mode).
+    season_significance
+        Shape (series,).
     median
         What each group has in common, shape (group, event, mode).
     noise
@@ -92,6 +95,8 @@ class Found:
     slope_sigma: Floats
     slope_significance: Floats
     season: Floats
+    season_sigma: Floats
+    season_significance: Floats
     median: NDArray[np.float32]
     noise: Floats
     lasting: tuple[Lasting, ...]
@@ -241,7 +246,13 @@ class _Search(SeriesModel):
         size_sigma = np.einsum("ksj,ks->sjk", deviation[:, :, at], self.scale)
         has_step = np.isfinite(self.terms.dates)
         size[~has_step] = size_sigma[~has_step] = np.nan
-        season = np.hypot(self.result.theta[:, :, 1], self.result.theta[:, :, 2]) * self.scale
+        annual = slice(OFFSET + 1, OFFSET + 3)
+        season, season_sigma = (one[:, :, annual] * self.scale[..., None] for one in (self.result.theta, deviation))
+        # every series has a season: that of one moves the median, and by it all others, until theirs is taken out
+        for g in range(len(self.median)):
+            of_group = self.series.group == g
+            season[:, of_group] -= np.median(season[:, of_group], axis=1, keepdims=True)
+        season_chi2 = chi_square(self.whitener, season, season_sigma**2).sum(axis=1)
         terms, modes = self.terms, len(self.scale)
         self.terms = replace(terms, has_slope=np.ones_like(terms.has_slope))
         last = fit_terms(self.y, self.inverse, self.columns(self.all), self.scale)
@@ -259,7 +270,9 @@ class _Search(SeriesModel):
             slope=(last.theta[:, :, SLOPE] * self.scale).T,
             slope_sigma=(np.sqrt(variance) * self.scale).T,
             slope_significance=find_significance(slope_chi2, modes),
-            season=season.T,
+            season=np.moveaxis(season, 0, -1),
+            season_sigma=np.moveaxis(season_sigma, 0, -1),
+            season_significance=find_significance(season_chi2, 2 * modes),
             median=self.median,
             noise=self.scale.T,
             lasting=self.lasting,

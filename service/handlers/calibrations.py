@@ -49,8 +49,8 @@ def get_in_effect(
     `at` (or `mjd`) is when the data were taken, `as_of` when the question is asked: pin it to get the same answer
     for ever, or ask by a `tag`, which does that under a name. A path is answered by its own version, else its
     station's, else the array's; a curve of a station or of the array is carried through the path's own cable
-    (`factor`), with the spread of single paths as `c_sigma_sys`. `scope=array` asks for the array's reference chain
-    itself, which is nobody's cable.
+    (`factor`), with the spread of single paths as `c_sigma_sys`, and follows the ramps and seasons in force to the ten
+    days of `at`. `scope=array` asks for the array's reference chain itself, which is nobody's cable.
     """
     kind = choose_format(format, request.headers.get("accept"))
     paths = select_scope(use.calibrations.instrument, scope, station, antenna, dipole)
@@ -177,6 +177,7 @@ def _describe_curve(curve: CurveInEffect) -> dict[str, Any]:
         "calibration": promotion.calibration,
         "answered_by": promotion.scope.level,
         "factor": told.factor.tolist(),
+        "factor_sigma": told.error,
         "flag": [UNCERTAIN if reasons and flag == OK else flag for flag in told.curve.flags.tolist()],
         "flag_reason": "; ".join(reasons) or None,
         "reference": None if chain is None else fill_answer(

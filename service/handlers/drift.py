@@ -13,6 +13,7 @@ from fastapi import APIRouter, Query, Request, Response
 from lbacal.instants import DAY_US, SECOND_US, format_instant, parse_instant
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import BadInputError
+from service.factory import Factory
 from service.handlers.ledger import PROMOTE, describe_changes
 from service.handlers.request import AntennaQuery, JobNumber, JsonBody, Limit, UseCases, Whole, answer, caller_with
 from service.handlers.routes import Order, acts, ordered, page_of, reads
@@ -168,7 +169,7 @@ def list_changes(
         and (end is None or one.change.date < end)
         and decision in (None, one.decision)
     ]
-    return answer(request, {"changes": [describe_change(one) for one in found]})
+    return answer(request, {"changes": [describe_change(one, use) for one in found]})
 
 
 @acts(changes, "/v1/changes", ChangeBody, wire.PathChangeAnswer, 409)
@@ -180,7 +181,7 @@ def enter_change(
     It is in force at once, and the next look for due work fits the windows that it cuts. One that was found already
     gets the person as one more source.
     """
-    done = order.once("change", lambda: describe_change(use.changes.enter(order.wanted, order.caller)))
+    done = order.once("change", lambda: describe_change(use.changes.enter(order.wanted, order.caller), use))
     return answer(request, done, status=201)
 
 
@@ -199,11 +200,11 @@ def decide_change(
     wanted = parse_body(DecisionBody, body)
     foreseen, of_c = use.changes.foresee(number, wanted, caller.name)
     decided = foreseen if dry_run else use.changes.decide(number, wanted, caller.name)
-    content = {**describe_change(decided), "changes": describe_changes(of_c)}
+    content = {**describe_change(decided, use), "changes": describe_changes(of_c)}
     return answer(request, content, status=200 if dry_run else 201)
 
 
-def describe_change(kept: KeptChange) -> dict[str, Any]:
+def describe_change(kept: KeptChange, use: Factory) -> dict[str, Any]:
     """Describe a change as JSON values."""
     change, said, first = kept.change, kept.said, kept.evidence[0]
     paths = [{"station": change.station, "antenna": antenna, "dipole": dipole} for antenna, dipole in change.paths]
@@ -211,7 +212,7 @@ def describe_change(kept: KeptChange) -> dict[str, Any]:
     return fill_answer(
         wire.PathChangeAnswer, kept, change, id=kept.number, paths=paths or None, array=change.station is None,
         at={"value": format_instant(change.date), "sigma_days": change.sigma_days},
-        size=of_c and {**of_c, "unit": "fraction of C"},
+        size=of_c and {**of_c, "unit": "fraction of C"}, shape=change.shape(use.calibrations.instrument.frequency_mhz),
         evidence=[fill_answer(wire.EvidenceAnswer, one, significance_sigma=one.significance) for one in kept.evidence],
         by=first.source if said is None else said.by,
         reason=f"found by {first.source}" if said is None else said.reason,

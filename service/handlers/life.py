@@ -7,7 +7,7 @@ from typing import Any
 from fastapi import APIRouter, Request, Response
 
 from lbacal.instants import format_instant, parse_instant
-from lbacal_core.curves.validity import Instant
+from service.factory import Factory
 from service.handlers.drift import describe_alarm, describe_change
 from service.handlers.models import describe_investigation, describe_model
 from service.handlers.request import InPath, UseCases, Whole, answer
@@ -18,6 +18,7 @@ from service.wire.answer_models import (
     BadAntennasAnswer,
     BadPathAnswer,
     EpochAnswer,
+    FactorAnswer,
     InEffectStretch,
     LifeAnswer,
     VersionAnswer,
@@ -34,19 +35,19 @@ def get_life_of_path(request: Request, use: UseCases, station: InPath, antenna: 
     Its epochs between the changes in force, what was in effect when, and the versions, changes, causes, alarms and
     investigations that concern it, each in order of time.
     """
-    return answer(request, describe_life(use.lives.of(station, antenna, dipole), use.clock()))
+    return answer(request, describe_life(use.lives.of(station, antenna, dipole), use))
 
 
 @reads(router, "/v1/stations/{station}/life", LifeAnswer, takes_turn=True)
 def get_life_of_station(request: Request, use: UseCases, station: InPath) -> Response:
     """Get the life of a station, as that of a path."""
-    return answer(request, describe_life(use.lives.of(station), use.clock()))
+    return answer(request, describe_life(use.lives.of(station), use))
 
 
 @reads(router, "/v1/life", LifeAnswer, takes_turn=True)
 def get_life_of_array(request: Request, use: UseCases) -> Response:
     """Get the life of the array, as that of a path."""
-    return answer(request, describe_life(use.lives.of(None), use.clock()))
+    return answer(request, describe_life(use.lives.of(None), use))
 
 
 @reads(router, "/v1/antennas/bad", BadAntennasAnswer)
@@ -64,14 +65,17 @@ def get_bad_antennas(request: Request, use: UseCases, at: str | None = None, sta
     return answer(request, {"at": format_instant(instant), "bad": bad})
 
 
-def describe_life(life: Life, now: Instant) -> dict[str, Any]:
+def describe_life(life: Life, use: Factory) -> dict[str, Any]:
     """Describe a life as JSON values."""
     return {
         "epochs": [fill_answer(EpochAnswer, one) for one in life.epochs],
-        "in_effect": [fill_answer(InEffectStretch, one) for one in life.in_effect],
+        "in_effect": [
+            fill_answer(InEffectStretch, one, factor=factor and [fill_answer(FactorAnswer, at) for at in factor])
+            for one, factor in zip(life.in_effect, life.factors, strict=True)
+        ],
         "versions": [fill_answer(VersionAnswer, one) for one in life.versions],
-        "changes": [describe_change(one) for one in life.changes],
+        "changes": [describe_change(one, use) for one in life.changes],
         "causes": [describe_model(one) for one in life.causes],
-        "alarms": [describe_alarm(one, now) for one in life.alarms],
+        "alarms": [describe_alarm(one, use.clock()) for one in life.alarms],
         "investigations": [describe_investigation(one) for one in life.investigations],
     }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -184,6 +185,12 @@ def draw_path(
 ) -> Chart:
     """C over time with its error, the versions, and where what changed: a click on a month asks for C on that date."""
     parts = list(_draw_months(drift, 2, versions, span, address))
+    ratios = {one.mean.calibration: 1.0 + one.change for one in versions}
+    for stretch, factors in zip(life.in_effect, life.factors, strict=True):
+        ratio = ratios.get(str(stretch.calibration), math.nan)
+        if shown := [one for one in factors or () if span.has(one.at)]:
+            at_months, values = [one.at / SECOND_US for one in shown], [ratio * one.value for one in shown]
+            parts.append(Series(LINE, at_months, values, name="C in effect", colour=GREEN))
     marks = [one for one in life.changes if one.ended is None]
     titles = [
         f"{name_members(one)} changed on {format_instant(one.change.date)[:10]} ({one.decision})" for one in marks

@@ -15,17 +15,20 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
+import numpy as np
 from sqlalchemy import Select, func, select, update
 
-from lbacal.instants import DAY_US, format_instant
+from lbacal.instants import DAY_US, SECOND_US, format_instant
+from lbacal_core.calibration.slow_changes import SlowChange, spread_over_band
 from lbacal_core.curves.validity import Instant, Promotion, Scope
 from lbacal_core.errors import name_path
+from lbacal_core.grids import Floats
 from service.errors import NotFoundError
 from service.schema.tables import change, change_decision, change_evidence
 from service.storage.rows import Store, equal, from_row, to_row
 
-STEP = "step"
-KINDS = (STEP, "ramp", "season", "course")
+STEP, RAMP, SEASON = "step", "ramp", "season"
+KINDS = (STEP, RAMP, SEASON, "course")
 DRIFT, INVESTIGATION, RECORD, PERSON = "drift", "investigation", "record", "person"
 PROPOSED, IN_FORCE, DISMISSED = "proposed", "in_force", "dismissed"
 NOT_REFITTED = "found, not yet refitted"
@@ -55,7 +58,8 @@ class Change:
     date, sigma
         When, and its standard deviation in microseconds.
     size, size_sigma
-        Change of C as a fraction with its standard deviation; None where it is not known.
+        Change of C as a fraction with its standard deviation; None where it is not known. That of a ramp is for a year
+        from the date on, that of a season its amplitude: at the date of every year C is largest.
     tilt, curvature
         Change of ln C as the Legendre polynomials 1 and 2 over the band; None where there is none.
     """
@@ -80,17 +84,34 @@ class Change:
         """The antennas that changed, each once."""
         return sorted({antenna for antenna, _ in self.paths})
 
+    def shape(self, frequency_mhz: Floats) -> list[float] | None:
+        """Change of C along frequency, a fraction; None where its size is not known."""
+        if self.size is None:
+            return None
+        modes = math.log1p(self.size), self.tilt or 0.0, self.curvature or 0.0
+        return [float(one) for one in np.expm1(spread_over_band(modes, frequency_mhz))]
+
     def dipoles_of(self, antenna: int) -> tuple[str, ...] | None:
         """The dipoles of an antenna that changed; None for both."""
         found = [dipole for one, dipole in self.paths if one == antenna]
         return None if None in found else tuple(str(one) for one in found)
 
     def is_same(self, other: Change) -> bool:
-        """Whether two are one: of a kind, with an antenna in common, and dates that agree within their errors."""
+        """Whether two are one: of a kind, with an antenna in common, and dates that agree within their errors.
+
+        What goes on changing is one where paths and size are; a ramp whenever it was first seen.
+        """
         if (self.station, self.kind) != (other.station, other.kind):
             return False
+        if self.kind != STEP and (self.paths != other.paths or not self._has_size_of(other)):
+            return False
         has_common = bool(set(self.antennas) & set(other.antennas)) or not (self.paths or other.paths)
-        return has_common and is_same_date((self.date, self.sigma), (other.date, other.sigma))
+        is_dated = self.kind == RAMP or is_same_date((self.date, self.sigma), (other.date, other.sigma))
+        return has_common and is_dated
+
+    def _has_size_of(self, other: Change) -> bool:
+        reach = SAME_DATE * math.hypot(self.size_sigma or 0.0, other.size_sigma or 0.0)
+        return abs((self.size or 0.0) - (other.size or 0.0)) <= reach
 
 
 LARGEST_TAKEN_OUT = math.log(2.0)
@@ -192,6 +213,16 @@ class KeptChange:
         who = [replace(cut, antenna=number, dipoles=one.dipoles_of(number)) for number in one.antennas]
         return who if one.paths else [cut]
 
+    @property
+    def slow(self) -> SlowChange | None:
+        """The ramp or season that C follows, while it is in force."""
+        one = self.change
+        if not self.stands or one.kind not in (RAMP, SEASON) or one.size is None:
+            return None
+        date, late = one.date / SECOND_US, one.sigma / SECOND_US
+        shape = (one.tilt or 0.0, one.curvature or 0.0)
+        return SlowChange(one.kind == SEASON, date, late, math.log1p(one.size), one.size_sigma or 0.0, shape)
+
     def seen_at(self, as_of: Instant) -> KeptChange:
         """The same with the evidence that there was at an instant."""
         known = [
@@ -261,7 +292,7 @@ class ChangeStore(Store):
         """
         ended = select(func.count()).select_from(change_evidence).join(change)
         decided = select(func.coalesce(func.max(change_decision.c.id), 0)).select_from(change_decision).join(change)
-        inside = [change.c.date_us > since, change.c.date_us < until, *equal(change, station=station)]
+        inside = [change.c.date_us > since, change.c.date_us < until, *equal(change, station=station, kind=STEP)]
         asked = ended.where(change_evidence.c.ended_us.is_not(None), *inside), decided.where(*inside)
         pair = [int(self._connection.execute(one).scalar_one()) for one in asked]
         return pair if any(pair) else []

@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from lbacal.instants import SECOND_US, format_instant
+from lbacal.instants import DAY_US, SECOND_US, format_instant
+from lbacal_core.calibration.slow_changes import follow_slow_changes
 from lbacal_core.calibration.spreads import ToldCurve, tell_reference
 from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.curves.validity import Instant, Promotion, Scope
@@ -26,6 +27,9 @@ FEWEST_REMEMBERED = 1200
 An instrument with more paths has one for each: a cache that is swept from end to end would hold none that is asked for.
 """
 BUDGETS_REMEMBERED = 100
+SLOW_STEP_US = 10 * DAY_US
+"""C along a ramp or season is told for the middle of so long a time: what is cached stays true in it, and five days of
+a season are 9 % of its amplitude."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +37,7 @@ class CurveInEffect:
     """The curve that answers for a path, by which promotion, and the promotions of the scopes on the way.
 
     Two are equal where they tell the same: the version never changes, and of the instant asked for only the path's
-    cable matters.
+    cable and the slow changes in force matter.
 
     Attributes
     ----------
@@ -47,6 +51,9 @@ class CurveInEffect:
         What to know where the version answers on both sides of a change that was found; None where it does not.
     epoch
         The time between changes in force in which the instant lies.
+    slow, followed_at
+        The ramps and seasons in force that C follows, and the instant at which it does; none and None where there are
+        none.
     """
 
     path: Scope
@@ -58,15 +65,17 @@ class CurveInEffect:
     without_cable: Instant | None
     changed: str | None
     epoch: Epoch
+    slow: tuple[KeptChange, ...]
+    followed_at: Instant | None
     version: Version = field(compare=False, repr=False)
     at: Instant = field(compare=False)
 
     @property
     def told(self) -> ToldCurve:
-        """The curve through the path's own cable; that of a reference chain as it is."""
-        if self.path.antenna is None:
-            return tell_reference(self.version.curve_of(str(self.dipole)))
-        return self.version.tell(self.path, self.at)
+        """The curve through the path's own cable, that of a reference chain as it is, along what changes slowly."""
+        is_chain, version = self.path.antenna is None, self.version
+        told = tell_reference(version.curve_of(str(self.dipole))) if is_chain else version.tell(self.path, self.at)
+        return told if self.followed_at is None else follow(told, version, self.slow, self.followed_at)
 
     @property
     def chain(self) -> ReferenceChain | None:
@@ -77,7 +86,9 @@ class CurveInEffect:
     @property
     def why(self) -> str:
         """Why it is this version: for what it was made and put into effect, and between which changes."""
-        made, acted, epoch = self.version, self.promotion, self.epoch
+        made, acted, epoch, told = self.version, self.promotion, self.epoch, self.told
+        named = " and ".join(f"change {one.number} ({one.change.kind})" for one in self.slow)
+        followed = f"; C follows {named}, which adds an error of {100.0 * told.error:.2f} %" if named else ""
         ends = [
             f"change {number} of {format_instant(date)[:10]} {does} its epoch"
             for number, date, does in ((epoch.because, epoch.start, "begins"), (epoch.ended_by, epoch.end, "ends"))
@@ -86,7 +97,7 @@ class CurveInEffect:
         return (
             f"made {format_instant(made.made)[:19]}Z by {made.made_by} ({made.reason}), in effect since "
             f"{format_instant(acted.at)[:19]}Z by {acted.by} ({acted.reason}); "
-            f"{' and '.join(ends) or 'no change in force bounds its epoch'}"
+            f"{' and '.join(ends) or 'no change in force bounds its epoch'}{followed}"
         )
 
 
@@ -167,7 +178,7 @@ class Calibrations:
     ) -> InEffect:
         """Curves in effect for paths at an instant; an error naming the neighbours if there is none for any of them."""
         asked, kept = self.database.ask(lambda s: (s.ledger.answers(paths, at, as_of), s.changes.kept(as_of=as_of)))
-        of_antenna = _by_antenna(kept)
+        of_antenna = group_by_antenna(kept)
         answers = _pick_decisive(asked)
         held: Mapping[Scope, Promotion] = {}
         if len(answers) < len(paths) and (hold or not answers):
@@ -181,14 +192,16 @@ class Calibrations:
             """The curve that a path is served; of an array that was asked for by itself, those of its chains."""
             version, trace, is_held = versions[str(promotion.calibration)], tuple(asked[path]), path in held
             changed, epoch = _find_change(promotion, of_antenna), _find_epoch(path, at, of_antenna)
-            told = promotion, is_held, trace
+            slow = find_slow(promotion.scope, of_antenna)
+            told, step = (promotion, is_held, trace), at // SLOW_STEP_US
+            followed = slow, step * SLOW_STEP_US + SLOW_STEP_US // 2 if slow else None
             if path.antenna is None:
                 for curve in version.curves:
-                    yield CurveInEffect(path, curve.dipole, *told, None, None, None, epoch, version, at)
+                    yield CurveInEffect(path, curve.dipole, *told, None, None, None, epoch, *followed, version, at)
                 return
             cable = version.cable_of(path, at)
             unknown = at if cable is None and str(path.dipole) in version.chains else None
-            yield CurveInEffect(path, path.dipole, *told, cable, unknown, changed, epoch, version, at)
+            yield CurveInEffect(path, path.dipole, *told, cable, unknown, changed, epoch, *followed, version, at)
 
         curves = [curve for path in paths if path in answers for curve in list_curves(path, answers[path])]
         return InEffect(at, curves, [path for path in paths if path not in answers], budgets)
@@ -224,8 +237,14 @@ class Calibrations:
             raise BadInputError("as_of", "an instant not later than now", format_instant(as_of))
         with self.database.read() as stores:
             edges, cables = stores.ledger.edges(as_of), stores.versions.cable_changes()
-            for cut in stores.changes.cuts(as_of=as_of):
+            kept = stores.changes.kept(as_of=as_of)
+        ends = {as_of}.union(*edges.values())
+        followed = range(min(ends) // SLOW_STEP_US * SLOW_STEP_US, max(ends), SLOW_STEP_US)
+        for change in kept:
+            for cut in change.cuts:
                 edges.setdefault(cut.station, set()).add(cut.date)
+            if change.slow is not None:
+                edges.setdefault(change.change.station, set()).update(followed)
         everywhere = edges.get(None, set())
         found: dict[str | None, list[Instant]] = {None: sorted(everywhere)}
         for station in sorted({record.station for record in self.instrument.antennas}):
@@ -234,35 +253,53 @@ class Calibrations:
         return found
 
 
-_ByAntenna = Mapping[tuple[str | None, int | None], Sequence[KeptChange]]
+ByAntenna = Mapping[tuple[str | None, int | None], Sequence[KeptChange]]
 """Changes by the antennas that they are of; those of a whole station or the array stand under no antenna."""
 
 
-def _by_antenna(kept: Iterable[KeptChange]) -> _ByAntenna:
+def group_by_antenna(kept: Iterable[KeptChange]) -> ByAntenna:
+    """Changes that cut windows or that C follows, by the antennas that they are of."""
     found: dict[tuple[str | None, int | None], list[KeptChange]] = {}
     for one in kept:
         antennas: Sequence[int | None] = one.change.antennas or [None]
-        for antenna in antennas if one.cuts else ():
+        for antenna in antennas if one.cuts or one.slow else ():
             found.setdefault((one.change.station, antenna), []).append(one)
     return found
 
 
-def _find_change(promotion: Promotion, of_antenna: _ByAntenna) -> str | None:
+def _find_change(promotion: Promotion, of_antenna: ByAntenna) -> str | None:
     """What to know of a path's own version that answers on both sides of a change."""
     station, antenna, _ = promotion.scope.parts
     own = (cut for one in _of(of_antenna, station, antenna) for cut in one.cuts if cut.antenna in (None, antenna))
     return next((cut.warning for cut in own if cut.is_bridged_by(promotion)), None)
 
 
-def _find_epoch(path: Scope, at: Instant, of_antenna: _ByAntenna) -> Epoch:
+def _find_epoch(path: Scope, at: Instant, of_antenna: ByAntenna) -> Epoch:
     """The epoch of a path, or of a whole station, in which an instant lies."""
     own = [one for one in _of(of_antenna, path.station, path.antenna) if concerns(one, path.antenna, path.dipole)]
     return next(one for one in split_epochs(path, own) if one.end is None or at < one.end)
 
 
-def _of(of_antenna: _ByAntenna, station: str | None, antenna: int | None) -> list[KeptChange]:
-    """The changes of an antenna and of its whole station."""
-    return [one for key in {(station, None), (station, antenna)} for one in of_antenna.get(key, ())]
+def _of(of_antenna: ByAntenna, station: str | None, antenna: int | None) -> list[KeptChange]:
+    """The changes of an antenna, of its whole station and of the array."""
+    return [one for key in {(None, None), (station, None), (station, antenna)} for one in of_antenna.get(key, ())]
+
+
+def find_slow(scope: Scope, of_antenna: ByAntenna) -> tuple[KeptChange, ...]:
+    """The ramps and seasons that C of a version follows: its own, its station's and the array's, one of a kind each.
+
+    The one that a person spoke of last counts, else the newest.
+    """
+    near = _of(of_antenna, scope.station, scope.antenna)
+    own = [one for one in near if one.slow and concerns(one, scope.antenna, scope.dipole)]
+    own.sort(key=lambda one: (0 if one.said is None else one.said.at, one.number))
+    return tuple({(one.change.kind, one.change.station, not one.change.paths): one for one in own}.values())
+
+
+def follow(told: ToldCurve, version: Version, slow: Iterable[KeptChange], at: Instant) -> ToldCurve:
+    """A curve of a version carried along slow changes to an instant."""
+    since, until = (one / SECOND_US for one in version.window)
+    return follow_slow_changes(told, [one.slow for one in slow if one.slow], at / SECOND_US, (since, until))
 
 
 def _pick_decisive(asked: Mapping[Scope, Sequence[Promotion]]) -> dict[Scope, Promotion]:

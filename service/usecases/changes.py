@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from lbacal.instants import DAY_US, parse_instant
+from lbacal.instants import DAY_US, SECOND_US, parse_instant
 from lbacal_core.causes.model import follows_date
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import BadInputError
@@ -20,18 +20,22 @@ from service.storage.changes import (
     IN_FORCE,
     INVESTIGATION,
     PERSON,
+    RAMP,
+    SEASON,
     STEP,
     Change,
     Cut,
     Decision,
     Evidence,
     KeptChange,
+    concerns,
 )  # fmt: skip
 from service.storage.database import Database, Stores
 from service.storage.models import Investigation
 from service.storage.versions import Version
-from service.usecases.calibrations import select_paths
+from service.usecases.calibrations import find_slow, follow, group_by_antenna, select_paths
 from service.usecases.drift import year_of
+from service.usecases.gate import compare_curves
 from service.usecases.promotions import Change as ChangeOfC
 from service.usecases.promotions import Promotions
 from service.wire.bodies import ChangeBody, DecisionBody
@@ -43,7 +47,7 @@ INVESTIGATED_SIGMA_US = 3 * DAY_US
 """An investigation gives the event from which on a cause acts, and no error of that date."""
 FITTED_ONE_BY_ONE = 3
 """More antennas than this are fitted with their whole station to say what a decision changes."""
-GAIN_STEP = "gain_step"
+GAIN_STEP, GAIN_DRIFT = "gain_step", "gain_drift"
 WORDS = {IN_FORCE: "in force", DISMISSED: "dismissed"}
 
 
@@ -62,14 +66,15 @@ def propose(made: Investigation, instrument: Instrument) -> Iterator[tuple[Chang
     """Propose the finding of an investigation along the date as a change; other findings are causes of the model."""
     every = {(path.antenna, path.dipole) for path in select_paths(instrument, made.station, None, None)}
     for number, finding in enumerate(made.report["findings"]):
-        if not (follows_date(finding["cause"], finding["parameters"]) and "date_unix" in finding["parameters"]):
+        is_ramp, dated = finding["cause"] == GAIN_DRIFT, finding["parameters"].get("date_unix")
+        if not follows_date(finding["cause"], finding["parameters"]) or (dated is None and not is_ramp):
             continue
         where, size = finding["where"], finding["size"]
         paths = tuple((antenna, dipole) for antenna in where["antennas"] for dipole in where["dipoles"])
         paths = () if every <= set(paths) else paths
-        date = round(finding["parameters"]["date_unix"] * 1_000_000)
-        change = Change(made.station, paths, STEP, date, INVESTIGATED_SIGMA_US)
-        if finding["cause"] == GAIN_STEP:
+        when = (RAMP, made.since, 0) if is_ramp else (STEP, round(dated * SECOND_US), INVESTIGATED_SIGMA_US)
+        change = Change(made.station, paths, *when)
+        if is_ramp or finding["cause"] == GAIN_STEP:
             of_c = (1.0 + size["value"]) ** -0.5  # C^2 is proportional to 1 / gain
             change = replace(change, size=of_c - 1.0, size_sigma=of_c * size["sigma"] / (1.0 + size["value"]) / 2.0)
         yield change, Evidence(INVESTIGATION, f"{made.id}#{number}", finding["significance_sigma"], made.made)
@@ -116,11 +121,28 @@ class Changes:
             kept = _require_open(stores.changes.get(number), body.decision)
             then = replace(kept, said=Decision(body.decision, self.clock(), by, body.reason))
             others = [one for one in stores.changes.kept(kept.change.station) if one.number != number]
+            if kept.slow or then.slow:
+                return then, list(self._follow(stores, [*others, kept], [*others, then], kept))
         if not [*kept.cuts, *then.cuts]:
             return then, []
         window = year_of(kept.change.date)
         cuts = [cut for one in (*others, then) for cut in one.cuts if cut.date < window[1]]
         return then, self._fit(kept.change, window, cuts, by)
+
+    def _follow(
+        self, stores: Stores, before: Sequence[KeptChange], after: Sequence[KeptChange], kept: KeptChange
+    ) -> Iterator[ChangeOfC]:
+        """What C along a ramp or season, or no longer along it, is at the end of the year of its date."""
+        at, groups = year_of(kept.change.date)[1] - 1, [group_by_antenna(one) for one in (before, after)]
+        paths = select_paths(self.instrument, kept.change.station, None, None)
+        asked = stores.ledger.answers([one for one in paths if concerns(kept, one.antenna, one.dipole)], at, None)
+        told = {path: said[-1] for path, said in asked.items() if said and said[-1].calibration is not None}
+        versions = stores.versions.get_many({str(one.calibration) for one in told.values()})
+        for path, said in told.items():
+            version = versions[str(said.calibration)]
+            was, now = (follow(version.tell(path, at), version, find_slow(said.scope, of), at) for of in groups)
+            change = compare_curves(was.curve, now.curve)
+            yield ChangeOfC(path, said.valid_from, said.valid_to, version.id, version.id, change)
 
     def _fit(self, change: Change, window: tuple[Instant, Instant], cuts: Sequence[Cut], by: str) -> list[ChangeOfC]:
         from service.usecases.fits import Wanted
@@ -154,6 +176,8 @@ class Changes:
         if station is not None:
             select_paths(self.instrument, station, None, None)
         paths = [(one.antenna, one.dipole) for one in body.paths or ()]
+        if body.kind in (RAMP, SEASON) and body.size is None:
+            raise BadInputError("body.size", f"the size of the {body.kind}, which C follows", "none")
         size = (None, None) if body.size is None else (body.size.value, body.size.sigma)
         date = parse_instant("body.at.value", body.at.value)
         return Change(station, tuple(dict.fromkeys(paths)), body.kind, date, round(body.at.sigma_days * DAY_US), *size)

@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lbacal.instants import DAY_US, SECOND_US, format_instant
+from lbacal_core.calibration.slow_changes import YEAR_S
+from lbacal_core.calibration.windows import find_hardware_changes
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import name_path, write_change
 from lbacal_core.grids import Floats
@@ -23,7 +25,7 @@ from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import MODEL_VERSION, hash_content
 from service.storage.alarms import SLOPE, STEP, News
 from service.storage.changes import DRIFT as BY_DRIFT
-from service.storage.changes import LARGEST_DATE_ERROR_US, RECORD, SAME_DATE, Change, Evidence
+from service.storage.changes import LARGEST_DATE_ERROR_US, RAMP, RECORD, SAME_DATE, SEASON, Change, Evidence
 from service.storage.database import Database, Stores
 from service.storage.jobs import Part
 from service.storage.sums import DRIFT, Sums
@@ -33,6 +35,7 @@ if TYPE_CHECKING:
     from lbacal_core.drift.follow import History
 
 KIND = "watch"
+YEAR_US = round(YEAR_S * SECOND_US)
 MEMBERS_NAMED = 4
 """A sentence names this many of those that changed together, and counts the others."""
 TREND_P = 0.001
@@ -50,8 +53,8 @@ class Watch:
 
     def name_inputs(self, stores: Stores) -> str | None:
         """The hash of what a report is made from; None where nothing was measured yet."""
-        digests = stores.sums.digests(DRIFT)
-        return hash_content([digests, self._hardware_changes(), MODEL_VERSION]) if digests else None
+        digests, known = stores.sums.digests(DRIFT), sorted(find_hardware_changes(self.instrument).items())
+        return hash_content([digests, known, MODEL_VERSION]) if digests else None
 
     def run(self, part: Part, worker: str) -> None:
         """Do a part: follow, keep the report, settle the alarms."""
@@ -66,29 +69,21 @@ class Watch:
             settle_changes(stores, report if self.cuts_windows else {"changes": []}, now)
             stores.jobs.complete(part, worker, {"calibrations": []}, now)
 
-    def _hardware_changes(self) -> dict[str, list[float]]:
-        """When antennas changed, unix seconds by station and antenna, as the instrument says."""
-        found: dict[str, set[float]] = {}
-        for record in self.instrument.antennas:
-            dates = {date for date in (record.since, record.until) if date is not None}
-            found.setdefault(f"{record.station}/{record.antenna}", set()).update(dates)
-        return {name: sorted(dates) for name, dates in sorted(found.items()) if dates}
-
     def _report(self, years: Sequence[Sums]) -> dict[str, Any]:
         from lbacal_core.drift.follow import follow  # with scipy: only workers need it
         from lbacal_core.drift.report import describe_followed
 
-        history = assemble_history(years, self._hardware_changes())
+        history = assemble_history(years, find_hardware_changes(self.instrument))
         return drop_noise(describe_followed(history, follow(history), self.instrument.frequency_mhz))
 
 
-def assemble_history(years: Sequence[Sums], changes: Mapping[str, Sequence[float]]) -> History:
+def assemble_history(years: Sequence[Sums], changes: Mapping[tuple[str, int], Sequence[float]]) -> History:
     """Lay what is kept of all years and stations on one axis of events.
 
     Parameters
     ----------
     changes
-        Dates of hardware changes, s UTC, by station and antenna (``CS002/17``).
+        Dates of hardware changes, s UTC, by station and antenna.
     """
     from lbacal_core.drift.events import MODES
     from lbacal_core.drift.follow import History
@@ -102,7 +97,7 @@ def assemble_history(years: Sequence[Sums], changes: Mapping[str, Sequence[float
     for name, letter, one in modes:
         rows = np.array([row[name, antenna, letter] for antenna in one.antennas.tolist()], dtype=np.int64)
         ln_c[np.ix_(rows, np.searchsorted(time_unix, one.time_unix))] = one.ln_c
-    dates = [changes.get(f"{station}/{antenna}", ()) for station, antenna, _ in keys]
+    dates = [changes.get((station, antenna), ()) for station, antenna, _ in keys]
     known = np.full((len(keys), max(map(len, dates), default=0)), np.inf)
     for k, of_path in enumerate(dates):
         known[k, : len(of_path)] = of_path
@@ -116,17 +111,22 @@ def settle_changes(stores: Stores, report: Mapping[str, Any], now: Instant) -> N
 
     A change does not end because an adopted cause takes it up: the cause may be withdrawn.
     """
-    found = [(change, one) for one in report["changes"] for change in read_changes(one)]
+    found = [
+        (change, max(float(member["significance"]) for member in one["members"]), bool(one["is_known"]))
+        for one in report["changes"]
+        for change in read_changes(one)
+    ]
+    for one in report.get("slopes", ()):
+        found += [(*of, False) for of in read_slow(one, report["first_unix"])]
     for kept in stores.changes.kept():
         change = kept.change
         is_sought = stores.models.during(change.station, change.date, change.date + 1).is_plain
-        if is_sought and not any(change.is_same(one) for one, _ in found):
+        if is_sought and not any(change.is_same(one) for one, *_ in found):
             for source in (BY_DRIFT, RECORD):
                 stores.changes.end(kept.number, source, now)
-    for change, told in found:
-        strongest = max(float(one["significance"]) for one in told["members"])
-        kept = stores.changes.note(change, Evidence(BY_DRIFT, "", strongest, now))
-        if told["is_known"]:
+    for change, significance, is_known in found:
+        kept = stores.changes.note(change, Evidence(BY_DRIFT, "", significance, now))
+        if is_known:
             stores.changes.note(change, Evidence(RECORD, "", None, now))
         else:
             stores.changes.end(kept.number, RECORD, now)
@@ -144,8 +144,31 @@ def read_changes(told: Mapping[str, Any]) -> list[Change]:
         for group in groups
     ]
     # the shape of a report is that of its most significant member
-    plain = {name: one["value"] for name, one in told["shape"].items() if abs(one["value"]) > PLAIN * one["sigma"]}
-    return [replace(found[0], **plain), *found[1:]]
+    return [replace(found[0], **_plain_shape(told["shape"])), *found[1:]]
+
+
+def read_slow(told: Mapping[str, Any], first_unix: float) -> Iterator[tuple[Change, float]]:
+    """Read the slope and the season of a path as a ramp since the first event, and a season, with their significance.
+
+    What a station does beside the others differs by polarisation: its alarm says it, and a person may enter it.
+    """
+    if told["antenna"] is None:
+        return
+    of, first = (told["station"], ((told["antenna"], told["dipole"]),)), round(first_unix * SECOND_US)
+    if told["is_found"]:
+        ramp = Change(*of, RAMP, first, 0, math.expm1(told["slope"]), told["sigma"], **_plain_shape(told["shape"]))
+        yield ramp, told["significance"]
+    if told["season_is_found"]:
+        size, sigma = told["season"], told["season_sigma"]
+        largest = first + (round(told["season_phase"] * YEAR_US) - first) % YEAR_US
+        late = round(sigma / size * YEAR_US / (2 * math.pi))
+        season = Change(*of, SEASON, largest, late, math.expm1(size), sigma, **_plain_shape(told["season_shape"]))
+        yield season, told["season_significance"]
+
+
+def _plain_shape(shape: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:
+    """The tilt and curvature that are plain."""
+    return {name: one["value"] for name, one in shape.items() if abs(one["value"]) > PLAIN * one["sigma"]}
 
 
 def _paths_of(members: Sequence[Mapping[str, Any]]) -> tuple[tuple[int, str | None], ...]:
@@ -185,10 +208,11 @@ def tell_news(report: Mapping[str, Any], frequency_mhz: Floats, *, cuts_windows:
         is_path = slope["antenna"] is not None
         scope = Scope(slope["station"], slope["antenna"], slope["dipole"]) if is_path else Scope(slope["station"])
         beside = "its station" if is_path else "the other stations"
+        followed = "; C in effect follows that unless a person dismissed the change" if is_path and cuts_windows else ""
         amount = tell_change(slope["slope"], slope["sigma"], slope["shape"], frequency_mhz)
         sentence = (
             f"{name_path(slope['station'], slope['antenna'], slope['dipole'])}: C changes by {amount} a year "
-            f"beside {beside}"
+            f"beside {beside}{followed}"
         )
         yield News(SLOPE, scope, "" if is_path else slope["dipole"], sentence, slope)
     whole = report["trends"].get("array")

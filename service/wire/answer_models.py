@@ -245,6 +245,7 @@ class CurveInEffectAnswer(CurveAnswer):
     calibration: str
     answered_by: Level
     factor: list[float] = Field(description="C told over C of the stored curve")
+    factor_sigma: float = Field(description="standard deviation of what follows ramps and seasons in it, a fraction")
     flag: list[Literal["ok", "uncertain", "interference", "outside"]]
     flag_reason: str | None
     reference: ReferenceAnswer | None
@@ -595,7 +596,8 @@ class PathChangeAnswer(Answer):
     array: bool
     at: DatedAnswer = Field(description="as it was found first")
     kind: Literal["step", "ramp", "season", "course"]
-    size: SizeAnswer | None
+    size: SizeAnswer | None = Field(description="of a ramp, in a year; of a season, its amplitude")
+    shape: list[float] | None = Field(description="the same along frequency")
     evidence: list[EvidenceAnswer]
     decision: Literal["proposed", "in_force", "dismissed"]
     by: str
@@ -686,10 +688,19 @@ class AdoptionPlanAnswer(ChangesAnswer):
     promise: list[float] = Field(description="gain in log-likelihood on as many events again, and its error")
 
 
+class FactorAnswer(Answer):
+    """C that follows ramps and seasons over C of its version, mean over the band, and its standard deviation."""
+
+    at: Moment
+    value: float
+    sigma: float
+
+
 class InEffectStretch(Stretch):
     """Which version answered when."""
 
     calibration: str
+    factor: list[FactorAnswer] | None = Field(description="every 30 days; null where C stands still")
 
 
 class BadPathAnswer(Answer):

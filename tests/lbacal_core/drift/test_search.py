@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from lbacal_core.drift.model import YEAR_S, Series, SeriesModel, median_of_members, median_over
+from lbacal_core.calibration.slow_changes import YEAR_S
+from lbacal_core.drift.model import Series, SeriesModel, median_of_members, median_over
 from lbacal_core.drift.search import Found, search_series
 
 DAY = 86_400.0
@@ -28,6 +29,19 @@ def test_seasons_and_common_years_alone_are_nothing():
     found = search_series(_draw(np.random.default_rng(1)))
     assert not np.any(np.isfinite(found.terms.dates))
     assert found.slope_significance.max() < found.threshold
+
+
+def test_the_season_of_one_path_is_found_and_moves_no_other():
+    """An eighth of it was in the median of eight, and so in the seasons of all others."""
+    rng, angle = np.random.default_rng(1), 2 * np.pi * (np.linspace(0.0, 3.0, 900) - 0.3)
+    values = 0.01 * rng.standard_normal((8, 900, 3))
+    values[3, :, 0] += 0.04 * np.cos(angle)
+    found = search_series(
+        Series(values.astype(np.float32), np.zeros(8, dtype=int), np.linspace(0.0, 3.0, 900) * YEAR_S)
+    )
+    assert np.flatnonzero(found.season_significance > found.threshold).tolist() == [3]
+    assert np.hypot(*found.season[3, :, 0]) == pytest.approx(0.04, abs=0.002)
+    assert np.arctan2(*found.season[3, ::-1, 0]) == pytest.approx(2 * np.pi * 0.3, abs=0.05)
 
 
 def test_several_steps_of_one_path_are_found_with_their_dates():
