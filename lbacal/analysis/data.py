@@ -169,6 +169,7 @@ def import_data(
     station: str | None = None,
     *,
     events: bool = False,
+    tell: Callable[[str], None] = lambda _: None,
 ) -> BackgroundSpectra:
     """Average autocorrelations or station statistics to background spectra, whatever the length of the data.
 
@@ -187,6 +188,8 @@ def import_data(
         Its name, where the data have none.
     events
         Every integration is an event of its own, and nothing is averaged.
+    tell
+        Called with a sentence after each part that was read.
 
     Examples
     --------
@@ -208,7 +211,9 @@ def import_data(
     limits = None if band is None else (convert_number(band[0], u.MHz), convert_number(band[1], u.MHz))
     opened = open_source(Path(source), station)
     chosen = choose_channels(opened, None if instrument is None else core_of(instrument), limits, width)
-    result = average_source(opened, interval, chosen, is_merging_events=is_merging)
+    result = average_source(
+        opened, interval, chosen, lambda count: tell(f"{count} integrations"), is_merging_events=is_merging
+    )
     if instrument is not None:
         core_of(instrument).require_dipoles(result.spectra.dipole, opened.name, opened.arms_deg)
     return BackgroundSpectra.of(

@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -14,7 +13,7 @@ from typing import Annotated, Any
 
 import typer
 
-from lbacal.cli.outputs import require_outputs
+from lbacal.cli.outputs import progress, require_outputs
 from lbacal.client import CachedAnswerWarning, Client, describe_snapshot
 from lbacal.files import written_beside
 from lbacal_core.errors import BadInputError, name_path
@@ -36,8 +35,8 @@ def ingest(spectra: Annotated[Path, typer.Argument(help="Spectra file (HDF5, lba
 
     Example: lbacal ingest spectra.h5
     """
-    with Client() as client, _progress("events") as on_event:
-        total = client.ingest(spectra, on_event)
+    with Client() as client, progress() as tell:
+        total = client.ingest(spectra, lambda k, n: tell(f"{k} of {n} events", k, n))
     print_warnings(total)
     print(f"{total['received']} spectra sent: {total['stored']} stored, {total['duplicates']} there already")
 
@@ -96,8 +95,14 @@ def sync(
 
     Run again, it fetches what is missing or damaged. With --station, --since or --until it holds that part alone.
     """
-    with Client() as client, _progress("answers") as on_step:
-        snapshot, fetched = client.sync(tag, on_step, stations=station or (), since=since, until=until)
+    with Client() as client, progress() as tell:
+        snapshot, fetched = client.sync(
+            tag,
+            lambda k, n: tell(f"{k} of {n} answers", k, n),
+            stations=station or (),
+            since=since,
+            until=until,
+        )
     print(f"{describe_snapshot(snapshot)}: {len(snapshot.files)} files, {fetched} answers fetched")
 
 
@@ -214,21 +219,3 @@ def print_job(job: dict[str, Any], *, most: int = 0) -> None:
         print(f"  {one[:12]} {what}")
     if len(named) > most > 0:
         print(f"  and {len(named) - most} more")
-
-
-@contextmanager
-def _progress(what: str) -> Iterator[Callable[[int, int], None]]:
-    """A bar on a terminal, else one line at each tenth."""
-
-    def print_tenth(k: int, total: int) -> None:
-        if k == total or k % max(1, total // 10) == 0:
-            print(f"{k} of {total} {what}", file=sys.stderr, flush=True)
-
-    if not sys.stderr.isatty():
-        yield print_tenth
-        return
-    from rich.progress import Progress
-
-    with Progress(transient=True) as bar:
-        task = bar.add_task(what)
-        yield lambda k, total: bar.update(task, completed=k, total=total)

@@ -66,15 +66,17 @@ def fit(
     simulation = Simulation.load(instrument, sky_power)
     given = "" if sky_power is None else f" --sky-power {sky_power}"
     rerun = f"{' '.join(str(path) for path in spectra)}{selection.options} --instrument {instrument}{given}"
-    with progress(len(files) + STEPS_OF_FIT + (html is not None or plot is not None)) as tell:
+    steps = len(files) * (len(files) > 1) + STEPS_OF_FIT + (html is not None or plot is not None)
+    with progress(steps) as tell:
         measured = read_selected(files, selection, time.time(), tell)
         found = fit_spectra(measured, simulation, None, scope.value, with_, tell=tell)
         with written_beside(report) as beside:
             write_fit_report(found.report, beside)
         found.save(output)
+        if html is not None or plot is not None:
+            tell("draw")
         for drawn, form in ((plot, None), (html, ".html")):
             if drawn is not None:
-                tell("draw")
                 found.save(drawn, form)
     written = " and ".join(str(path) for path in (output, report, html, plot) if path is not None)
     next_step = f"lbacal investigate {rerun} --report R.json --html R.html"

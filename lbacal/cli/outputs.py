@@ -5,7 +5,9 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
+from threading import Timer
 
 from lbacal.analysis.result import IMAGES
 from lbacal_core.errors import BadInputError
@@ -38,29 +40,48 @@ def require_image(plot: Path | None) -> None:
         raise BadInputError(f"--plot {plot}", f"a name that ends in {', '.join(IMAGES)}", plot.suffix or "no ending")
 
 
-# A bar on the terminal while a command works; nothing where standard error is a file or a pipe.
+PATIENCE_S = 2.0
+"""Work that takes less says nothing on the way where nobody sees a bar."""
 
 
 @contextmanager
-def progress(steps: int) -> Iterator[Callable[[str], None]]:
-    """A bar of some steps; the function that it gives takes the name of the next step."""
+def progress(steps: int | None = None) -> Iterator[Callable[..., None]]:
+    """A bar on a terminal, elsewhere a line a step on standard error once the work takes long.
+
+    The function that it gives takes the name of the step that begins; of many that are alike also its number and how
+    many there are, of which a tenth are lines.
+    """
+    if not sys.stderr.isatty():
+        with _print_steps() as begin_line:
+            yield begin_line
+        return
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-    columns = (
-        BarColumn(),
-        TextColumn("{task.completed}/{task.total}"),
-        TimeElapsedColumn(),
-        TextColumn("{task.description}"),
-    )
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not sys.stderr.isatty()) as bar:
-        task = bar.add_task("", total=steps)
-        begun = 0
+    columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task, begun = bar.add_task("", total=steps), count()
 
-        def begin(step: str) -> None:
-            nonlocal begun
-            bar.update(task, completed=begun, description=step, refresh=True)
-            begun += 1
+        def begin(step: str, k: int | None = None, total: int | None = steps) -> None:
+            done = next(begun) if k is None else k
+            bar.update(task, completed=done, total=total, description=step, refresh=True)
 
         yield begin
+
+
+@contextmanager
+def _print_steps() -> Iterator[Callable[..., None]]:
+    said: list[str] = []
+    waiting = Timer(PATIENCE_S, lambda: print(*said[-1:], file=sys.stderr, flush=True))
+
+    def begin(step: str, k: int = 0, total: int = 0) -> None:
+        said.append(step)
+        is_due = k == total or k % max(1, total // 10) == 0 if total else not waiting.is_alive()
+        if is_due:
+            print(step, file=sys.stderr, flush=True)
+
+    waiting.start()
+    try:
+        yield begin
+    finally:
+        waiting.cancel()
