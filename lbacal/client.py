@@ -21,7 +21,7 @@ from lbacal.cache import Cache, Question, Snapshot, find_cache
 from lbacal.instants import parse_instant
 from lbacal.tables import COLUMNS, make_columns
 from lbacal.transport import STUCK_S, TRIES, Transport, UnreachableError
-from lbacal_core.curves.galcal import name_path
+from lbacal_core.curves.galcal import make_head
 from lbacal_core.errors import BadInputError
 
 if TYPE_CHECKING:
@@ -302,7 +302,5 @@ def make_table(answer: dict[str, Any]) -> CurveTable:
         unit, description = COLUMNS[name].unit, COLUMNS[name].description
         table[name] = values * u.Unit(unit) if unit else values
         table[name].info.description = description
-    table.meta = {name: answer.get(name) for name in ("at", "as_of", "missing")}
-    table.meta["budgets"] = answer.get("budgets", {})
-    table.meta["covariances"] = {name_path(curve): curve.get("covariance") for curve in answer["curves"]}
+    table.meta = {**make_head(answer), "missing": answer.get("missing")}
     return table

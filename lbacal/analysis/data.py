@@ -16,7 +16,6 @@ from astropy.table import QTable
 from lbacal.analysis.instrument import Described, core_of, simulation_of
 from lbacal.analysis.result import Result
 from lbacal.calibration_files import holds_curves, read_calibrations
-from lbacal.chain import convert_number
 from lbacal.client import format_time, make_table
 from lbacal.curve_table import CurveTable
 from lbacal.pages.chart import BAND, COLOURS, LINE, Chart, Series
@@ -28,6 +27,7 @@ from lbacal.selection import (
     parse_selection,
     read_selected,
 )
+from lbacal.units import convert_number
 from lbacal_core.errors import BadInputError, MissingExtraError
 from lbacal_core.grids import WITHIN_1_SIGMA, Floats
 from lbacal_core.readers.open import choose_channels, open_source

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any, Union
 
 from astropy import units as u
 
-from lbacal.chain import Chain, convert_number, convert_numbers, spread_numbers
+from lbacal.chain import Chain, spread_numbers
 from lbacal.settings import causes_file
+from lbacal.units import convert_number, convert_numbers
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.antennas import ABSOLUTE, AntennaRecord, GainProvenance
 from lbacal_core.instrument.antennas import Site as CoreSite

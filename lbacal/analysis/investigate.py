@@ -14,13 +14,13 @@ from astropy.table import QTable
 from lbacal.analysis.data import spectra_of
 from lbacal.analysis.instrument import Described, simulation_of
 from lbacal.analysis.result import Result
-from lbacal.chain import convert_number
 from lbacal.pages.chart import Chart
 from lbacal.pages.curve import draw_change, draw_curve, draw_curve_page, draw_ranking
 from lbacal.pages.finding import draw_finding, draw_scores
 from lbacal.pages.investigation import draw_page
 from lbacal.pages.report import list_origin
 from lbacal.settings import judge
+from lbacal.units import convert_number
 from lbacal.with_model import Extended, read_model
 from lbacal_core.audit.audit import audit_quickly
 from lbacal_core.data.lofar import SUPERTERP

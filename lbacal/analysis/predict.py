@@ -11,6 +11,7 @@ from typing import Any
 import h5py
 import numpy as np
 from astropy import units as u
+from astropy.constants import k_B
 from astropy.table import QTable
 
 from lbacal.analysis.fit import Calibration
@@ -201,6 +202,8 @@ def _make(content: Mapping[str, Any]) -> Prediction:
         if one["kelvin"] is not None:
             columns[f"{name}_temperature"] = np.array(one["kelvin"]) * u.K
     columns |= {"sefd": sefd * u.Jy, "sefd_sigma": sefd_sigma * u.Jy}
+    sensitivity = (2.0 * k_B / columns["sefd"]).to(u.m**2 / u.K)
+    columns |= {"a_eff_t_sys": sensitivity, "a_eff_t_sys_sigma": sensitivity * sefd_sigma / sefd}
     at = np.unique(np.linspace(0, nu.size - 1, SHOWN).round().astype(int))
     adc, shown = content["adc"], []
     if adc is not None:

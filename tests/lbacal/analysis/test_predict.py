@@ -8,6 +8,7 @@ import h5py
 import numpy as np
 import pytest
 from astropy import units as u
+from astropy.constants import k_B
 from matplotlib.figure import Figure
 
 import lbacal
@@ -32,6 +33,8 @@ def test_a_fit_predicts_its_paths(tmp_path: Path) -> None:
     for suffix in ("json", "h5", "ecsv", "fits", "csv", "html", "png"):
         told.save(tmp_path / f"p.{suffix}")
     assert told.table["sky_temperature"].unit == u.K
+    sensitivity = 2 * k_B / told.table["sefd"]  # of one polarisation: half of an unpolarised flux
+    np.testing.assert_allclose(told.table["a_eff_t_sys"].to_value(u.m**2 / u.K), sensitivity.si.value)
     assert isinstance(told.plot(Figure().subplots()), Figure)
     with pytest.raises(UnknownNameError, match="unknown curve 'CS002 antenna 7 X'"):
         lbacal.predict(found, at=AT, station="CS002", antenna=7, dipole="X")
