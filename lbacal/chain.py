@@ -11,7 +11,7 @@ import numpy as np
 from astropy import units as u
 from numpy.typing import NDArray
 
-from lbacal.units import convert_number, convert_numbers, refuse_unit
+from lbacal.units import convert_number, convert_numbers, refuse_unit, require_kind
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, interpolate
 from lbacal_core.instrument.matching import (
@@ -99,6 +99,7 @@ class Chain:
 
     def core_stages(self, frequency_mhz: Floats) -> tuple[CoreStage, ...]:
         """The stages on the channels; none where no stage says anything of its noise."""
+        require_kind("chain: stages", self.stages, list | tuple, "a list of stages, such as [20 * u.dB]")
         if not any(isinstance(one, Stage) for one in self.stages):
             return ()
         made = tuple(

@@ -21,6 +21,7 @@ from lbacal.cache import Cache, Question, Snapshot, find_cache
 from lbacal.instants import parse_instant
 from lbacal.tables import COLUMNS, make_columns
 from lbacal.transport import STUCK_S, TRIES, Transport, UnreachableError
+from lbacal.units import path_of
 from lbacal_core.curves.galcal import make_head
 from lbacal_core.errors import BadInputError
 
@@ -210,9 +211,9 @@ class Client:
             Called with the number of events sent and their total.
         """
         from lbacal.transport import files_of_events
-        from lbacal_core.spectra.spectra import read_spectra
+        from lbacal_core.spectra.spectra import Spectra, read_spectra
 
-        measured = read_spectra(Path(spectra)) if isinstance(spectra, str | Path) else spectra
+        measured = spectra if isinstance(spectra, Spectra) else read_spectra(path_of("ingest", spectra))
         total, warned = {"received": 0, "stored": 0, "duplicates": 0}, list[str]()
         events, sent = len(np.unique(measured.event_id)), 0
         bundles = files_of_events(measured, BUNDLE)

@@ -74,12 +74,16 @@ class CurveTable(QTable):  # type: ignore[misc] # astropy has no types
         is_name = isinstance(item, tuple) and 0 < len(item) <= 3 and all(isinstance(part, str | int) for part in item)
         if not is_name or not isinstance(item[-1], str) or set(item) <= set(self.colnames):
             return super().__getitem__(item)
-        station, antenna, dipole = (item[0] if len(item) > 1 else None, item[1] if len(item) > 2 else None, item[-1])
+        return self.find_curve(item)
+
+    def find_curve(self, name: tuple[Any, ...]) -> CurveTable:
+        """The rows of (station, antenna, dipole), (station, dipole) or (dipole,)."""
+        station, antenna, dipole = (name[0] if len(name) > 1 else None, name[1] if len(name) > 2 else None, name[-1])
         rows = self.of_path(station, antenna, dipole)
         if len(rows) == 0:
             owners = zip(self["station"].tolist(), self["antenna"].tolist(), self["dipole"].tolist(), strict=True)
             names = [name_path(s or None, None if a < 0 else a, d or None) for s, a, d in dict.fromkeys(owners)]
-            raise UnknownNameError("curve", " ".join(map(str, item)), names[:SHOWN_NAMES])
+            raise UnknownNameError("curve", " ".join(map(str, name)), names[:SHOWN_NAMES])
         return rows
 
     def of_path(self, station: str | None, antenna: int | None, dipole: str | None) -> CurveTable:

@@ -1,7 +1,8 @@
-"""Numbers with and without a unit, as users give them, in the plain numbers of `lbacal_core`."""
+"""Values as users of Python give them: numbers with and without a unit, names of files, and what is of another type."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,8 @@ def convert_number(value: Any, unit: u.UnitBase) -> float:
     """A number in a unit, which it is taken in where it has none; an angle as text too, such as ``-35d12m``."""
     try:
         given = Angle(value, u.deg) if isinstance(value, str) and unit == u.deg else value
-        return float(u.Quantity(given, unit).value)
+        given = given if isinstance(given, u.Quantity) else u.Quantity(given, unit)
+        return float(given.to_value(unit, u.temperature()))
     except (u.UnitsError, TypeError, ValueError) as error:
         raise refuse_unit(value, unit) from error
 
@@ -27,6 +29,33 @@ def convert_numbers(value: Any, unit: u.UnitBase) -> Floats:
         return np.atleast_1d(np.asarray(u.Quantity(value, unit).value, dtype=float))
     except (u.UnitsError, TypeError, ValueError) as error:
         raise refuse_unit(value, unit) from error
+
+
+def convert_band(band: Any) -> tuple[float, float]:
+    """The lowest and the highest channel, MHz."""
+    if not isinstance(band, tuple | list | np.ndarray) or len(band) != 2:
+        raise BadInputError("band", "two numbers, the lowest and the highest channel", repr(band))
+    return convert_number(band[0], u.MHz), convert_number(band[1], u.MHz)
+
+
+def make_rng(seed: Any) -> np.random.Generator:
+    """A generator of random numbers from its seed."""
+    if not isinstance(seed, int | np.integer) or seed < 0:
+        raise BadInputError("seed", "a whole number, 0 or more", repr(seed))
+    return np.random.default_rng(int(seed))
+
+
+def path_of(place: str, file: Any) -> Path:
+    """The path of a file that is named."""
+    require_kind(place, file, str | Path, "the name of a file")
+    return Path(file)
+
+
+def require_kind(place: str, value: Any, kind: Any, expected: str) -> None:
+    """Refuse a value of another type."""
+    if not isinstance(value, kind):
+        is_plain = value is None or isinstance(value, str | int | float)
+        raise BadInputError(place, expected, repr(value) if is_plain else type(value).__name__)
 
 
 def refuse_unit(value: Any, unit: u.UnitBase) -> BadInputError:

@@ -49,6 +49,9 @@ def curve_of(effective: QTable) -> CalibrationCurve:
     from lbacal_core.curves.covariance import parse_covariance
     from lbacal_core.curves.curves import CONVERGED, CalibrationCurve
 
+    if not hasattr(effective, "colnames"):
+        expected = 'the table of lbacal.effective, or one curve of a fit such as found["CS002", 17, "X"]'
+        raise BadInputError("effective", expected, type(effective).__name__)
     paths = {(str(row["station"]), int(row["antenna"]), str(row["dipole"])) for row in effective}
     if len(paths) != 1:
         raise BadInputError(

@@ -16,6 +16,7 @@ from lbacal.analysis.instrument import Described, core_of
 from lbacal.analysis.result import Result
 from lbacal.pages.audit import draw_page, draw_station
 from lbacal.pages.report import list_origin
+from lbacal.units import path_of
 from lbacal_core.audit.audit import AuditReport
 from lbacal_core.audit.audit import audit as audit_spectra
 from lbacal_core.audit.verdict import WRONG, Line
@@ -67,7 +68,7 @@ def audit(
     >>> lbacal.audit(spectra, "lofar-superterp").wrong
     []
     """
-    spectra = data if isinstance(data, Spectra) else _read(Path(data), instrument, average, tell)
+    spectra = data if isinstance(data, Spectra) else _read(path_of("data", data), instrument, average, tell)
     name = spectra.origin if isinstance(data, Spectra) else Path(data).name
     core = core_of(instrument)
     tell(f"audit {len(spectra)} spectra")

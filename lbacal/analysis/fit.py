@@ -92,7 +92,7 @@ class Calibration(Result):
             is_wanted = tuple(part for part in (*curve.owner, curve.dipole) if part is not None) == wanted
             if is_wanted and curve.c is None:
                 raise BadInputError(curve.name, "a curve that converged", curve.status)
-        rows: CurveTable = self.table[wanted]
+        rows: CurveTable = self.table.find_curve(wanted)
         return rows
 
 

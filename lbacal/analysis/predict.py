@@ -22,6 +22,7 @@ from lbacal.curve_table import SHOWN_NAMES
 from lbacal.instants import format_instant, parse_instant
 from lbacal.pages.chart import BAND, LINE, Chart, Series
 from lbacal.pages.curves import FREQUENCY
+from lbacal.units import convert_number, make_rng, require_kind
 from lbacal.with_model import Extended, read_model
 from lbacal_core.calibration.prediction import EventNoise
 from lbacal_core.discovery.forward import predict as predict_path
@@ -79,7 +80,7 @@ def draw_together(predictions: Sequence[Prediction], count: int, seed: int = 1) 
     """
     if not isinstance(count, int | np.integer) or count < 1:
         raise BadInputError("count", "a number of events, 1 or more", repr(count))
-    rng = np.random.default_rng(seed)
+    rng = make_rng(seed)
     gains = _draw_stations(predictions, count, rng)
     return [
         np.asarray(one.power * _noise_of(one.content).draw(count, rng, gains[one.content["station"]]))
@@ -102,7 +103,7 @@ def draw_traces(
     >>> [trace.shape for trace in lbacal.draw_traces([seen], samples=4096)]
     [(4096,)]
     """
-    rng = np.random.default_rng(rng)
+    rng = rng if isinstance(rng, np.random.Generator) else make_rng(rng)
     gains, traces = _draw_stations(predictions, 1, rng), []
     for one in predictions:
         gain = _noise_of(one.content).draw_gains(1, rng, gains[one.content["station"]])
@@ -154,15 +155,12 @@ def predict(
     >>> seen.draw_events(100).shape  # doctest: +SKIP
     (100, 51)
     """
-    celsius = temperature
-    if isinstance(temperature, u.Quantity):
-        celsius = temperature.to_value(u.deg_C, u.temperature())
+    celsius = None if temperature is None else convert_number(temperature, u.deg_C)
     path: dict[str, Any] = {"station": station, "antenna": antenna, "dipole": dipole}
     for name, kind, expected in (
         ("station", str, "a name"), ("antenna", int | np.integer, "a number"), ("dipole", str, "a letter"),
     ):  # fmt: skip
-        if not isinstance(path[name], kind):
-            raise BadInputError(name, expected, repr(path[name]))
+        require_kind(name, path[name], kind, expected)
     path["antenna"] = antenna = int(antenna)
     instant = parse_instant("at", format_time(at))
     if with_ is not None and (source is None or isinstance(source, Calibration)):
