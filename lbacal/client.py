@@ -253,9 +253,12 @@ class Client:
         found: dict[str, Any] = self.get(f"/v1/jobs/{number}")
         return found
 
-    def wait_for(self, number: int) -> dict[str, Any]:
-        """Wait for a job until it has ended."""
+    def wait_for(self, number: int, on_change: Callable[[dict[str, Any]], object] = lambda _: None) -> dict[str, Any]:
+        """Wait for a job until it has ended; `on_change` is called with it whenever its progress is another."""
+        seen = None
         while (job := self.job(number))["state"] not in ENDED:
+            if seen != (seen := (job["state"], job["progress"])):
+                on_change(job)
             time.sleep(POLL_S)
         return job
 

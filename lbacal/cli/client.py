@@ -30,15 +30,16 @@ Format = StrEnum("Format", ["table", "json", "csv", "ecsv", "fits", "hdf5", "nur
 """How an answer is written."""
 
 
-def ingest(spectra: Annotated[Path, typer.Argument(help="Spectra file (HDF5, lbacal-spectra-1).")]) -> None:
+def ingest(
+    spectra: Annotated[Path, typer.Argument(help="Spectra file (HDF5, lbacal-spectra-1).")], as_json: Json = False
+) -> None:
     """Send spectra to the server in bundles of whole events; run again, it sends what is missing.
 
     Example: lbacal ingest spectra.h5
     """
     with Client() as client, progress() as tell:
         total = client.ingest(spectra, lambda k, n: tell(f"{k} of {n} events", k, n))
-    print_warnings(total)
-    print(f"{total['received']} spectra sent: {total['stored']} stored, {total['duplicates']} there already")
+    show(total, print_receipt, as_json=as_json)
 
 
 def effective(
@@ -126,8 +127,9 @@ def refit(
     with Client() as client:
         job = client.refit(
             scope, since, until, reason=reason, station=station, antenna=antenna, dipole=dipole, promote=promote,
-            wait=wait, fit=fit,
+            wait=False, fit=fit,
         )  # fmt: skip
+        job = wait_for(client, job["job"]) if wait else job
     show(job, partial(print_job, most=SHOWN), as_json=as_json)
     if job["state"] == "failed":
         raise typer.Exit(1)
@@ -165,6 +167,12 @@ def show_each(found: list[Any], tell: Callable[[Any], object], nothing: str, *, 
     show(found, tell_all, as_json=as_json)
 
 
+def print_receipt(total: dict[str, Any]) -> None:
+    """Print how many spectra were sent and stored."""
+    print_warnings(total)
+    print(f"{total['received']} spectra sent: {total['stored']} stored, {total['duplicates']} there already")
+
+
 def print_warnings(receipt: dict[str, Any]) -> None:
     """Print what the server warns of when spectra come in."""
     for sentence in receipt.pop("warnings", []):
@@ -195,6 +203,12 @@ def print_curve(curve: dict[str, Any], *, is_explained: bool = False) -> None:
             continue
         of_rest = "unknown" if system is None else f"{system:.3g}"
         print(f"  {frequency:13g} {c:13.6g} {sigma:13.3g} {of_rest:>12} {'':20} {flag}")
+
+
+def wait_for(client: Client, number: int) -> dict[str, Any]:
+    """Wait for a job, and show how far it is."""
+    with progress() as tell:
+        return client.wait_for(number, lambda job: tell(f"job {number} {job['state']}, {job['progress']:.0%}"))
 
 
 def print_job(job: dict[str, Any], *, most: int = 0) -> None:
