@@ -11,8 +11,8 @@ import numpy as np
 from astropy import units as u
 from numpy.typing import NDArray
 
-from lbacal.units import convert_number, convert_numbers, refuse_unit, require_kind
-from lbacal_core.errors import BadInputError
+from lbacal.units import convert_number, convert_numbers, refuse_unit
+from lbacal_core.errors import BadInputError, require_kind
 from lbacal_core.grids import Floats, interpolate
 from lbacal_core.instrument.matching import (
     Impedance,

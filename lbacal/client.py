@@ -17,11 +17,10 @@ from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, Self, TypeVar
 
 import numpy as np
 
+from lbacal import tables
 from lbacal.cache import Cache, Question, Snapshot, find_cache
 from lbacal.instants import parse_instant
-from lbacal.tables import COLUMNS, make_columns
 from lbacal.transport import STUCK_S, TRIES, Transport, UnreachableError
-from lbacal.units import path_of
 from lbacal_core.curves.galcal import make_head
 from lbacal_core.errors import BadInputError
 
@@ -210,6 +209,7 @@ class Client:
         on_event
             Called with the number of events sent and their total.
         """
+        from lbacal.files import path_of
         from lbacal.transport import files_of_events
         from lbacal_core.spectra.spectra import Spectra, read_spectra
 
@@ -297,14 +297,6 @@ def format_time(instant: Any) -> str:
 
 def make_table(answer: dict[str, Any]) -> CurveTable:
     """The rows of an answer to "in effect at" as a table with units; the versions are in its column `calibration`."""
-    from astropy import units as u
-
     from lbacal.curve_table import CurveTable
 
-    table = CurveTable()
-    for name, values in make_columns(answer).items():
-        unit, description = COLUMNS[name].unit, COLUMNS[name].description
-        table[name] = values * u.Unit(unit) if unit else values
-        table[name].info.description = description
-    table.meta = {**make_head(answer), "missing": answer.get("missing")}
-    return table
+    return CurveTable(tables.make_table(answer), meta={**make_head(answer), "missing": answer.get("missing")})

@@ -97,8 +97,7 @@ def read_selected(
     """Read files one by one, keep what is chosen, and join it."""
     kept, seen = [], []
     for file in files:
-        if len(files) > 1:
-            tell(f"read {file.name}")
+        tell(f"read {file.name}")
         whole = read_spectra(file, now_unix)
         if whole.left_out:
             tell(f"{file.name}: {whole.flagged_words}, left out")

@@ -1,8 +1,7 @@
-"""Values as users of Python give them: numbers with and without a unit, names of files, and what is of another type."""
+"""Numbers as users give them, with and without a unit, in the plain numbers of `lbacal_core`."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -43,19 +42,6 @@ def make_rng(seed: Any) -> np.random.Generator:
     if not isinstance(seed, int | np.integer) or seed < 0:
         raise BadInputError("seed", "a whole number, 0 or more", repr(seed))
     return np.random.default_rng(int(seed))
-
-
-def path_of(place: str, file: Any) -> Path:
-    """The path of a file that is named."""
-    require_kind(place, file, str | Path, "the name of a file")
-    return Path(file)
-
-
-def require_kind(place: str, value: Any, kind: Any, expected: str) -> None:
-    """Refuse a value of another type."""
-    if not isinstance(value, kind):
-        is_plain = value is None or isinstance(value, str | int | float)
-        raise BadInputError(place, expected, repr(value) if is_plain else type(value).__name__)
 
 
 def refuse_unit(value: Any, unit: u.UnitBase) -> BadInputError:

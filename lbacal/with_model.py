@@ -7,8 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from lbacal.units import require_kind
-from lbacal_core.errors import BadInputError, UnreadableFileError
+from lbacal_core.errors import BadInputError, UnreadableFileError, require_kind
 
 if TYPE_CHECKING:
     from lbacal_core.calibration.left_open import OpenTerm

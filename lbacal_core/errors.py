@@ -79,6 +79,13 @@ def require_name(place: str, name: Any, known: Collection[str]) -> None:
         raise BadInputError(place, f"one of {', '.join(known)}", offer_name(name, known))
 
 
+def require_kind(place: str, value: Any, kind: Any, expected: str) -> None:
+    """Refuse a value of another type."""
+    if not isinstance(value, kind):
+        is_plain = value is None or isinstance(value, str | int | float)
+        raise BadInputError(place, expected, repr(value) if is_plain else type(value).__name__)
+
+
 class MissingExtraError(LbacalError, code="missing_extra"):
     """A part of the package that is not installed where it is needed."""
 

@@ -14,9 +14,9 @@ from astropy.table import QTable
 from lbacal.analysis.data import import_data
 from lbacal.analysis.instrument import Described, core_of
 from lbacal.analysis.result import Result
+from lbacal.files import path_of
 from lbacal.pages.audit import draw_page, draw_station
 from lbacal.pages.report import list_origin
-from lbacal.units import path_of
 from lbacal_core.audit.audit import AuditReport
 from lbacal_core.audit.audit import audit as audit_spectra
 from lbacal_core.audit.verdict import WRONG, Line

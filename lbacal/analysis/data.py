@@ -18,6 +18,7 @@ from lbacal.analysis.result import Result
 from lbacal.calibration_files import holds_curves, read_calibrations
 from lbacal.client import format_time, make_table
 from lbacal.curve_table import CurveTable
+from lbacal.files import path_of
 from lbacal.pages.chart import BAND, COLOURS, LINE, Chart, Series
 from lbacal.pages.curves import FREQUENCY
 from lbacal.selection import (
@@ -27,8 +28,8 @@ from lbacal.selection import (
     parse_selection,
     read_selected,
 )
-from lbacal.units import convert_band, convert_number, make_rng, path_of, require_kind
-from lbacal_core.errors import BadInputError, MissingExtraError
+from lbacal.units import convert_band, convert_number, make_rng
+from lbacal_core.errors import BadInputError, MissingExtraError, require_kind
 from lbacal_core.grids import WITHIN_1_SIGMA, Floats
 from lbacal_core.readers.open import choose_channels, open_source
 from lbacal_core.readers.source import Averaged

@@ -11,10 +11,10 @@ import numpy as np
 from astropy import units as u
 
 from lbacal.chain import Chain, spread_numbers
-from lbacal.files import written_beside
+from lbacal.files import path_of, written_beside
 from lbacal.settings import causes_file
-from lbacal.units import convert_number, convert_numbers, path_of, require_kind
-from lbacal_core.errors import BadInputError
+from lbacal.units import convert_number, convert_numbers
+from lbacal_core.errors import BadInputError, require_kind
 from lbacal_core.instrument.antennas import ABSOLUTE, AntennaRecord, GainProvenance
 from lbacal_core.instrument.antennas import Site as CoreSite
 from lbacal_core.instrument.instrument import Instrument as CoreInstrument

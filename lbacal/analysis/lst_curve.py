@@ -12,9 +12,10 @@ from astropy.table import QTable
 
 from lbacal.analysis.instrument import Described, simulation_of
 from lbacal.analysis.result import Result
+from lbacal.files import path_of
 from lbacal.pages.curve import draw_comparison
 from lbacal.pages.report import list_origin
-from lbacal.units import convert_band, path_of
+from lbacal.units import convert_band
 from lbacal_core.data.lofar import DIPOLES, SUPERTERP
 from lbacal_core.lstcurve.curve import BAND_MHZ, Comparison, LstCurve, compare_lst_curve, read_lst_curve
 from lbacal_core.sky.table import SkyPower

@@ -22,12 +22,12 @@ from lbacal.curve_table import SHOWN_NAMES
 from lbacal.instants import format_instant, parse_instant
 from lbacal.pages.chart import BAND, LINE, Chart, Series
 from lbacal.pages.curves import FREQUENCY
-from lbacal.units import convert_number, make_rng, require_kind
+from lbacal.units import convert_number, make_rng
 from lbacal.with_model import Extended, read_model
 from lbacal_core.calibration.prediction import EventNoise
 from lbacal_core.discovery.forward import predict as predict_path
 from lbacal_core.discovery.forward import predict_alone
-from lbacal_core.errors import BadInputError, UnknownNameError
+from lbacal_core.errors import BadInputError, UnknownNameError, require_kind
 from lbacal_core.grids import Floats
 from lbacal_core.traces.noise import draw_noise
 

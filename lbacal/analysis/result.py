@@ -10,11 +10,10 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lbacal.files import written_beside
+from lbacal.files import path_of, written_beside
 from lbacal.pages.chart import Chart, plot_charts
 from lbacal.pages.tables import align
 from lbacal.tables import escape_texts
-from lbacal.units import path_of
 from lbacal_core.errors import BadInputError
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from lbacal.cli.options import InstrumentName, Since, SkyPowerFile, SpectraFiles, Stations, Until, Year
-from lbacal.cli.outputs import progress, require_image, require_outputs
+from lbacal.cli.outputs import progress, require_outputs, save_each
 from lbacal.selection import find_spectra_files, parse_selection, read_selected
 
 
@@ -40,12 +40,10 @@ def budget(
     selection = parse_selection(since, until, year, station)
     files = find_spectra_files(spectra)
     inputs = {"--instrument": instrument, "--sky-power": sky_power}
-    require_outputs({"--report": report, "--plot": plot}, {**inputs, **{f"SPECTRA {file}": file for file in files}})
-    require_image(plot)
+    outputs = {"--report": report, "--plot": plot}
+    require_outputs(outputs, {**inputs, **{f"SPECTRA {file}": file for file in files}})
     with progress() as tell:
         measured = read_selected(files, selection, time.time(), tell)
         found = make_budget(measured, instrument, sky_power, sky, left_open, tell=tell)
     print("\n".join([*found.lines, found.title]))
-    for path, form in ((report, ".json"), (plot, None)):
-        if path is not None:
-            found.save(path, form)
+    save_each(found, outputs)

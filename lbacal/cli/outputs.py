@@ -9,12 +9,15 @@ from itertools import count
 from pathlib import Path
 from threading import Timer
 
-from lbacal.analysis.result import IMAGES
+from lbacal.analysis.result import IMAGES, Result
 from lbacal_core.errors import BadInputError
+
+FORMS = {"--report": ".json", "--html": ".html"}
+"""As what these options are written, whatever the end of the name."""
 
 
 def require_outputs(outputs: Mapping[str, Path | None], inputs: Mapping[str, str | Path | None]) -> None:
-    """Refuse outputs that cannot be written, that are the same file, or that would replace an input.
+    """Refuse outputs that cannot be written or drawn, that are the same file, or that would replace an input.
 
     Parameters
     ----------
@@ -31,13 +34,17 @@ def require_outputs(outputs: Mapping[str, Path | None], inputs: Mapping[str, str
             raise BadInputError(f"{option} {path}", "a file in a folder that exists", f"no folder {path.parent}")
         if path.resolve() in taken:
             raise BadInputError(f"{option} {path}", "a file of its own", f"the file of {taken[path.resolve()]}")
+        if option == "--plot" and path.suffix.lower() not in IMAGES:
+            expected = f"a name that ends in {', '.join(IMAGES)}"
+            raise BadInputError(f"--plot {path}", expected, path.suffix or "no ending")
         taken[path.resolve()] = option
 
 
-def require_image(plot: Path | None) -> None:
-    """Refuse a figure in a form that cannot be drawn."""
-    if plot is not None and plot.suffix.lower() not in IMAGES:
-        raise BadInputError(f"--plot {plot}", f"a name that ends in {', '.join(IMAGES)}", plot.suffix or "no ending")
+def save_each(found: Result, outputs: Mapping[str, Path | None]) -> None:
+    """Write a result to the value of each option that was given."""
+    for option, path in outputs.items():
+        if path is not None:
+            found.save(path, FORMS.get(option))
 
 
 PATIENCE_S = 2.0
@@ -72,14 +79,18 @@ def progress(steps: int | None = None) -> Iterator[Callable[..., None]]:
 @contextmanager
 def _print_steps() -> Iterator[Callable[..., None]]:
     said: list[str] = []
-    waiting = Timer(PATIENCE_S, lambda: print(*said[-1:], file=sys.stderr, flush=True))
+
+    def say() -> None:
+        if said:
+            print(said[-1], file=sys.stderr, flush=True)
 
     def begin(step: str, k: int = 0, total: int = 0) -> None:
         said.append(step)
         is_due = k == total or k % max(1, total // 10) == 0 if total else not waiting.is_alive()
         if is_due:
-            print(step, file=sys.stderr, flush=True)
+            say()
 
+    waiting = Timer(PATIENCE_S, say)
     waiting.start()
     try:
         yield begin

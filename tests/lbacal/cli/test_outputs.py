@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lbacal.cli.outputs import require_image, require_outputs
+from lbacal.cli.outputs import require_outputs
 from lbacal.selection import Selection, find_spectra_files, parse_selection, read_selected
 from lbacal_core.errors import BadInputError
 from lbacal_core.spectra.spectra import Spectra, write_spectra
@@ -66,11 +66,11 @@ def test_every_command_refuses_an_output_before_it_looks_at_its_input(lbacal: Lb
 
 
 def test_a_figure_has_a_form_that_can_be_drawn() -> None:
-    for path in (Path("C.PNG"), Path("a/C.pdf"), None):
-        require_image(path)
+    for path in (Path("C.PNG"), Path("C.pdf"), None):
+        require_outputs({"--plot": path}, {})
     for name in ("C", "C.jpeg", "C.png.txt"):
         with pytest.raises(BadInputError, match=r"ends in \.png, \.pdf, \.svg"):
-            require_image(Path(name))
+            require_outputs({"--plot": Path(name)}, {})
 
 
 PROGRAM = """
