@@ -25,6 +25,7 @@ from lbacal.pages.curves import FREQUENCY
 from lbacal.units import convert_number, make_rng
 from lbacal.with_model import Extended, read_model
 from lbacal_core.calibration.prediction import EventNoise
+from lbacal_core.calibration.spreads import carry_to_path
 from lbacal_core.discovery.forward import predict as predict_path
 from lbacal_core.discovery.forward import predict_alone
 from lbacal_core.errors import BadInputError, UnknownNameError, require_kind
@@ -135,8 +136,9 @@ def predict(
     Parameters
     ----------
     source
-        A `Calibration`, whose spectra say how events scatter; or an instrument by itself, as in `lbacal.fit`; or None
-        for the calibration in effect, which the server of `LBACAL_URL` answers with.
+        A `Calibration`: its curve of the path, whose spectra say how events scatter, or that of its station or the
+        array through the path's cable; or an instrument by itself, as in `lbacal.fit`; or None for the calibration in
+        effect, which the server of `LBACAL_URL` answers with.
     at
         An astropy Time, a datetime (naive = UTC) or ISO 8601 text.
     temperature
@@ -173,16 +175,21 @@ def predict(
         simulation = simulation if with_ is None else simulation.with_causes(read_model(with_, "with_"))
         found = predict_alone(simulation, station, antenna, dipole, 1e-6 * instant, celsius)
         return _make({"at": format_instant(instant), **found.as_dict()})
-    curves = {one.path: one for one in source.report.curves}
-    curve = curves.get((station, antenna, dipole))
-    if curve is None:
-        wanted, names = f"{station} antenna {antenna} {dipole}", [one.name for one in curves.values()]
+    curves = {one.path: k for k, one in enumerate(source.report.curves)}
+    owners = ((station, antenna, dipole), (station, None, dipole), (None, None, dipole))
+    at_curve = next((curves[owner] for owner in owners if owner in curves), None)
+    if at_curve is None:
+        wanted, names = f"{station} antenna {antenna} {dipole}", [one.name for one in source.report.curves]
         raise UnknownNameError("curve", wanted, names[:SHOWN_NAMES])
-    named = None if curve.covariance is None else source.report.budgets.get(str(curve.covariance.budget))
-    noise = None
-    if curve.c is not None:
+    curve, noise = source.report.curves[at_curve], None
+    is_own = curve.antenna is not None
+    if not is_own:
+        source.instrument.cable_of(station, antenna, 1e-6 * instant)
+        curve = carry_to_path(curve, source.report.chains[at_curve], station, antenna, dipole, 1e-6 * instant).curve
+    elif curve.c is not None:
         noise = EventNoise.measured(curve, source.without_causes, source.simulation, source.report.curves)
-    found = predict_path(curve, source.with_sizes, 1e-6 * instant, noise, named, celsius)
+    named = None if curve.covariance is None else source.report.budgets.get(str(curve.covariance.budget))
+    found = predict_path(curve, source.with_sizes, 1e-6 * instant, noise, named, celsius, is_own=is_own)
     return _make({"at": format_instant(instant), **found.as_dict()})
 
 

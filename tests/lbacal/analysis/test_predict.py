@@ -40,6 +40,19 @@ def test_a_fit_predicts_its_paths(tmp_path: Path) -> None:
         lbacal.predict(found, at=AT, station="CS002", antenna=7, dipole="X")
 
 
+@pytest.mark.parametrize("scope", ["station", "array"])
+def test_the_curve_of_a_station_or_the_array_predicts_each_of_its_paths(scope: str) -> None:
+    spectra = lbacal.simulate("lofar-superterp", events=150, antennas=4)
+    own, mean = (lbacal.fit(spectra, "lofar-superterp", scope=one) for one in ("antenna", scope))
+    path = {"at": AT, "station": "CS002", "antenna": 2, "dipole": "Y"}
+    told, known = lbacal.predict(mean, **path), lbacal.predict(own, **path)
+    sigma = np.sqrt(np.diag(told.covariance))
+    assert np.mean(np.abs(told.power - known.power) < 2 * sigma) > 0.9
+    assert np.median(sigma / np.sqrt(np.diag(known.covariance))) > 1.5  # how far single paths depart is in it
+    with pytest.raises(BadInputError, match="antenna 700: expected an antenna of instrument lofar-superterp"):
+        lbacal.predict(mean, **{**path, "antenna": 700})
+
+
 def test_one_trace_for_all_hours_is_wrong_by_what_the_page_says(repository: Path) -> None:
     """From the faintest hour to the brightest: the Galaxy's part of the power of 30-80 MHz, and all of it."""
     found = lbacal.fit(lbacal.simulate("lofar-superterp", events=150, antennas=2), "lofar-superterp")
