@@ -24,7 +24,7 @@ from lbacal.tables import write_format
 from lbacal.transport import RefusedError
 from lbacal_core.curves.covariance import name_budgets
 from lbacal_core.curves.validity import Instant
-from lbacal_core.errors import BadInputError, LbacalError
+from lbacal_core.errors import BadInputError, LbacalError, require_name
 
 FORMAT = "lbacal-cache-1"
 ARRAY = ""
@@ -136,7 +136,8 @@ class Cache:
         as_of = found["as_of"]
         held = self._held_before(tag, as_of)
         stations = client.get("/v1/calibrations/edges", as_of=as_of)["stations"]
-        _require_known(only, [one["station"] for one in stations if one["station"]])
+        for name in only:
+            require_name("station", name, [one["station"] for one in stations if one["station"]])
         stations = [_during(one, since, until) for one in stations if not only or one["station"] in only]
         total, fetched, done = sum(len(station["edges"]) for station in stations), 0, 0
         listed: dict[str, dict[str, Any]] = {}
@@ -305,23 +306,16 @@ def _select_stations(snapshot: Snapshot, asked: Question) -> Sequence[str]:
     if asked.scope == "array":
         return [ARRAY]
     letters = sorted({letter for name in stations for letter in snapshot.stations[name].get("dipoles", ["X", "Y"])})
-    if asked.dipole not in (None, *letters):
-        raise BadInputError("dipole", f"one of {', '.join(letters)}", repr(asked.dipole))
+    if asked.dipole is not None:
+        require_name("dipole", asked.dipole, letters)
     if asked.antenna is not None and asked.station is None:
         raise BadInputError("antenna", "a station beside it", f"antenna {asked.antenna} alone")
     if asked.station is None:
         return stations
-    _require_known([asked.station], stations)
+    require_name("station", asked.station, stations)
     if asked.antenna is not None and asked.antenna not in snapshot.stations[asked.station]["antennas"]:
         raise BadInputError("antenna", f"an antenna of {asked.station}", str(asked.antenna))
     return [asked.station]
-
-
-def _require_known(named: Sequence[str], stations: Sequence[str]) -> None:
-    """Refuse a station that is not among some."""
-    for name in named:
-        if name not in stations:
-            raise BadInputError("station", f"one of {', '.join(stations)}", repr(name))
 
 
 def _during(station: Mapping[str, Any], since: Instant | None, until: Instant | None) -> dict[str, Any]:

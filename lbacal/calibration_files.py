@@ -79,7 +79,7 @@ def read_calibrations(path: Path) -> dict[str, Any]:
         raise BadInputError(str(path), f"the columns {', '.join(REQUIRED)}", f"no {', '.join(missing)}")
     if head is None:
         raise BadInputError(f"{path}: {KEY}", f"the head of {FORMAT}, JSON text", "none")
-    return _join(path, columns, _parse(path, head))
+    return join_rows(str(path), columns, _parse(path, head))
 
 
 def complete_curves(content: Mapping[str, Any], path: Path) -> dict[str, Any]:
@@ -162,11 +162,11 @@ def _read_hdf5(path: Path) -> tuple[dict[str, Any], str | None]:
         raise UnreadableFileError(f"{path}: not an HDF5 file ({str(error)[:120]})") from error
 
 
-def _join(path: Path, columns: Mapping[str, Any], head: dict[str, Any]) -> dict[str, Any]:
+def join_rows(place: str, columns: Mapping[str, Any], head: Mapping[str, Any]) -> dict[str, Any]:
     """Rows and head as one content: rows that name the same path follow each other and become its curve."""
     rows = len(columns["c"])
     if any(len(values) != rows for values in columns.values()):
-        raise BadInputError(str(path), f"{rows} rows in every column", "another number")
+        raise BadInputError(place, f"{rows} rows in every column", "another number")
     keys = list(zip(*(columns[name].tolist() for name in ("station", "antenna", "dipole")), strict=True))
     edges = [k for k in range(rows) if k == 0 or keys[k] != keys[k - 1]]
     curves = [_make_curve(columns, slice(a, b)) for a, b in pairwise([*edges, rows])]

@@ -9,10 +9,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 from astropy import units as u
-from astropy.coordinates import Angle
 from numpy.typing import NDArray
 
-from lbacal_core.errors import BadInputError
+from lbacal.units import convert_number, convert_numbers, refuse_unit
+from lbacal_core.errors import BadInputError, require_kind
 from lbacal_core.grids import Floats, interpolate
 from lbacal_core.instrument.matching import (
     Impedance,
@@ -28,27 +28,6 @@ from lbacal_core.instrument.stages import FREE, gain_behind, read_touchstone_gai
 from lbacal_core.instrument.stages import Stage as CoreStage
 
 T = TypeVar("T", np.float64, np.complex128)
-
-
-def convert_number(value: Any, unit: u.UnitBase) -> float:
-    """A number in a unit, which it is taken in where it has none; an angle as text too, such as ``-35d12m``."""
-    try:
-        given = Angle(value, u.deg) if isinstance(value, str) and unit == u.deg else value
-        return float(u.Quantity(given, unit).value)
-    except (u.UnitsError, TypeError, ValueError) as error:
-        raise _wrong_unit(value, unit) from error
-
-
-def convert_numbers(value: Any, unit: u.UnitBase) -> Floats:
-    """Numbers in a unit, shape (number,)."""
-    try:
-        return np.atleast_1d(np.asarray(u.Quantity(value, unit).value, dtype=float))
-    except (u.UnitsError, TypeError, ValueError) as error:
-        raise _wrong_unit(value, unit) from error
-
-
-def _wrong_unit(value: Any, unit: u.UnitBase) -> BadInputError:
-    return BadInputError("a quantity", f"one in {unit}, or a number, which is taken in it", repr(value))
 
 
 @dataclass(frozen=True)
@@ -120,6 +99,7 @@ class Chain:
 
     def core_stages(self, frequency_mhz: Floats) -> tuple[CoreStage, ...]:
         """The stages on the channels; none where no stage says anything of its noise."""
+        require_kind("chain: stages", self.stages, list | tuple, "a list of stages, such as [20 * u.dB]")
         if not any(isinstance(one, Stage) for one in self.stages):
             return ()
         made = tuple(
@@ -257,7 +237,7 @@ def _ohm(given: Any) -> Impedance:
     try:
         return np.asarray(u.Quantity(given, u.ohm).value, dtype=complex)
     except (u.UnitsError, TypeError, ValueError) as error:
-        raise _wrong_unit(given, u.ohm) from error
+        raise refuse_unit(given, u.ohm) from error
 
 
 def _spread(found: NDArray[T], frequency_mhz: Floats, place: str) -> NDArray[T]:

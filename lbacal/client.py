@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, Self, TypeVar
 
 import numpy as np
 
+from lbacal import tables
 from lbacal.cache import Cache, Question, Snapshot, find_cache
 from lbacal.instants import parse_instant
-from lbacal.tables import COLUMNS, make_columns
 from lbacal.transport import STUCK_S, TRIES, Transport, UnreachableError
-from lbacal_core.curves.galcal import name_path
+from lbacal_core.curves.galcal import make_head
 from lbacal_core.errors import BadInputError
 
 if TYPE_CHECKING:
@@ -209,10 +209,11 @@ class Client:
         on_event
             Called with the number of events sent and their total.
         """
+        from lbacal.files import path_of
         from lbacal.transport import files_of_events
-        from lbacal_core.spectra.spectra import read_spectra
+        from lbacal_core.spectra.spectra import Spectra, read_spectra
 
-        measured = read_spectra(Path(spectra)) if isinstance(spectra, str | Path) else spectra
+        measured = spectra if isinstance(spectra, Spectra) else read_spectra(path_of("ingest", spectra))
         total, warned = {"received": 0, "stored": 0, "duplicates": 0}, list[str]()
         events, sent = len(np.unique(measured.event_id)), 0
         bundles = files_of_events(measured, BUNDLE)
@@ -252,9 +253,12 @@ class Client:
         found: dict[str, Any] = self.get(f"/v1/jobs/{number}")
         return found
 
-    def wait_for(self, number: int) -> dict[str, Any]:
-        """Wait for a job until it has ended."""
+    def wait_for(self, number: int, on_change: Callable[[dict[str, Any]], object] = lambda _: None) -> dict[str, Any]:
+        """Wait for a job until it has ended; `on_change` is called with it whenever its progress is another."""
+        seen = None
         while (job := self.job(number))["state"] not in ENDED:
+            if seen != (seen := (job["state"], job["progress"])):
+                on_change(job)
             time.sleep(POLL_S)
         return job
 
@@ -293,16 +297,6 @@ def format_time(instant: Any) -> str:
 
 def make_table(answer: dict[str, Any]) -> CurveTable:
     """The rows of an answer to "in effect at" as a table with units; the versions are in its column `calibration`."""
-    from astropy import units as u
-
     from lbacal.curve_table import CurveTable
 
-    table = CurveTable()
-    for name, values in make_columns(answer).items():
-        unit, description = COLUMNS[name].unit, COLUMNS[name].description
-        table[name] = values * u.Unit(unit) if unit else values
-        table[name].info.description = description
-    table.meta = {name: answer.get(name) for name in ("at", "as_of", "missing")}
-    table.meta["budgets"] = answer.get("budgets", {})
-    table.meta["covariances"] = {name_path(curve): curve.get("covariance") for curve in answer["curves"]}
-    return table
+    return CurveTable(tables.make_table(answer), meta={**make_head(answer), "missing": answer.get("missing")})

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from astropy import units as u
 from astropy.table import QTable
 
+from lbacal.units import convert_number, convert_numbers
 from lbacal.voltages import budget_of, curve_of
 from lbacal_core.curves.curves import INTERFERENCE, CalibrationCurve
 from lbacal_core.errors import BadInputError, UnknownNameError, name_path
 from lbacal_core.grids import Floats
 
 SHOWN_NAMES = 12
+_SHOWN = ("station", "antenna", "dipole", "calibration", "answered_by", "valid_from", "valid_to", "flag_reason")
+"""Columns of a page, a row a curve."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -68,12 +74,16 @@ class CurveTable(QTable):  # type: ignore[misc] # astropy has no types
         is_name = isinstance(item, tuple) and 0 < len(item) <= 3 and all(isinstance(part, str | int) for part in item)
         if not is_name or not isinstance(item[-1], str) or set(item) <= set(self.colnames):
             return super().__getitem__(item)
-        station, antenna, dipole = (item[0] if len(item) > 1 else None, item[1] if len(item) > 2 else None, item[-1])
+        return self.find_curve(item)
+
+    def find_curve(self, name: tuple[Any, ...]) -> CurveTable:
+        """The rows of (station, antenna, dipole), (station, dipole) or (dipole,)."""
+        station, antenna, dipole = (name[0] if len(name) > 1 else None, name[1] if len(name) > 2 else None, name[-1])
         rows = self.of_path(station, antenna, dipole)
         if len(rows) == 0:
             owners = zip(self["station"].tolist(), self["antenna"].tolist(), self["dipole"].tolist(), strict=True)
             names = [name_path(s or None, None if a < 0 else a, d or None) for s, a, d in dict.fromkeys(owners)]
-            raise UnknownNameError("curve", " ".join(map(str, item)), names[:SHOWN_NAMES])
+            raise UnknownNameError("curve", " ".join(map(str, name)), names[:SHOWN_NAMES])
         return rows
 
     def of_path(self, station: str | None, antenna: int | None, dipole: str | None) -> CurveTable:
@@ -90,7 +100,7 @@ class CurveTable(QTable):  # type: ignore[misc] # astropy has no types
         low, high
             First and last channel, MHz or a Quantity.
         """
-        curve, first, last = curve_of(self), *(float(u.Quantity(one, u.MHz).value) for one in (low, high))
+        curve, first, last = curve_of(self), *(convert_number(one, u.MHz) for one in (low, high))
         nu = curve.frequency_mhz
         inside = (nu >= first) & (nu <= last) & curve.has_value & (curve.flags != INTERFERENCE)
         if not np.any(inside):
@@ -105,27 +115,44 @@ class CurveTable(QTable):  # type: ignore[misc] # astropy has no types
         frequency
             One or several, MHz or a Quantity.
         """
-        curve, wanted = curve_of(self), np.asarray(u.Quantity(frequency, u.MHz).value, dtype=float)
+        curve, wanted = curve_of(self), convert_numbers(frequency, u.MHz)
         known = curve.frequency_mhz[curve.has_value]
         if not np.all((wanted >= known[0]) & (wanted <= known[-1])):
             raise BadInputError("at", f"{known[0]:g} to {known[-1]:g} MHz, where C is known", f"{wanted} MHz")
         weights = np.zeros((wanted.size, curve.frequency_mhz.size))
         weights[:, curve.has_value] = np.array([np.interp(wanted.ravel(), known, row) for row in np.eye(known.size)]).T
-        return _combine(self, curve, weights, wanted * u.MHz, is_one=wanted.ndim == 0)
+        return _combine(self, curve, weights, wanted * u.MHz, is_one=np.ndim(frequency) == 0)
+
+    @property
+    def shown(self) -> Any:
+        """How it is drawn and saved: as any result of `lbacal`."""
+        from lbacal.calibration_files import FORMATS, join_rows, write_calibrations
+
+        def write(kind: str, file: Path) -> None:
+            columns = {name: np.asarray(self[name]) for name in self.colnames}
+            write_calibrations(join_rows("the table", columns, self.meta), file, kind)
+
+        # by their names: whoever asks a server imports this module, and need not have the extra that draws
+        def draw() -> Iterator[Any]:
+            yield import_module("lbacal.pages.fit").draw_c([curve_of(self.of_path(*path)) for path in paths])
+
+        rows = list(dict.fromkeys(zip(*(self[name].astype(str).tolist() for name in _SHOWN), strict=True)))
+        paths = list(dict.fromkeys((row["station"], row["antenna"], row["dipole"]) for row in self))
+        return import_module("lbacal.analysis.result").Result(
+            title=f"C, {len(paths)} curves",
+            rows=[_SHOWN, *rows],
+            words=len(_SHOWN),
+            charts=draw,
+            more={suffix: partial(write, kind) for suffix, kind in FORMATS.items()},
+        )
 
     def plot(self, ax: Any = None) -> Any:
-        """C of each path with its total error."""
-        # by its name: whoever asks a server imports this module, and need not have the extra that draws
-        axes = import_module("matplotlib.figure").Figure(layout="constrained").subplots() if ax is None else ax
-        paths = list(dict.fromkeys((row["station"], row["antenna"], row["dipole"]) for row in self))
-        for path in paths:
-            own = self.of_path(*path)
-            total = np.hypot(own["c_sigma_stat"], np.nan_to_num(own["c_sigma_sys"])).to_value(u.uV)
-            label = " ".join(str(part) for part in path if part not in ("", -1))
-            axes.errorbar(own["frequency_mhz"].value, own["c"].to_value(u.uV), total, fmt=".-", lw=1, label=label)
-        axes.set(xlabel="frequency (MHz)", ylabel="C (µV per ADC unit)")
-        axes.legend(fontsize=8, frameon=False)
-        return axes.figure
+        """C with both errors; of many paths the medians and the middle 68 % of each dipole."""
+        return self.shown.plot(ax)
+
+    def save(self, path: str | Path, form: str | None = None) -> None:
+        """Write a calibration file with covariances, a figure or a page, as the end of the name says, or `form`."""
+        self.shown.save(path, form)
 
 
 def _combine(

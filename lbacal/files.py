@@ -8,8 +8,9 @@ import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
-from lbacal_core.errors import LbacalError
+from lbacal_core.errors import LbacalError, require_kind
 
 _IN_HDF5 = re.compile(r"errno = [0-9]+, error message = '([^']*)'")
 """How the HDF5 library says what the system said; when it closes a file, in a RuntimeError."""
@@ -51,3 +52,9 @@ def written_beside(path: Path) -> Iterator[Path]:
         raise UnwritableError(path, error) from error
     finally:
         beside.unlink(missing_ok=True)
+
+
+def path_of(place: str, file: Any) -> Path:
+    """The path of a file that is named."""
+    require_kind(place, file, str | Path, "the name of a file")
+    return Path(file)

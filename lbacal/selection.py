@@ -12,7 +12,7 @@ import numpy as np
 
 from lbacal.instants import format_instant, parse_instant
 from lbacal_core.curves.validity import Instant
-from lbacal_core.errors import BadInputError, near_name
+from lbacal_core.errors import BadInputError, offer_name
 from lbacal_core.hdf5 import HDF5_FAILURES
 from lbacal_core.spectra.spectra import FORMAT, Spectra, join_spectra, read_spectra
 
@@ -111,8 +111,7 @@ def read_selected(
             f"{datetime.fromtimestamp(t, UTC):%Y-%m-%d}" for t in (min(s[0] for s in seen), max(s[1] for s in seen))
         )
         names = sorted(set().union(*(stations for *_, stations in seen)))
-        near = [one for name in selection.stations if name not in names for one in [near_name(name, names)] if one]
-        meant = f" (is {near[0]} meant?)" if near else ""
-        found = f"none: there are {first} to {last} of {', '.join(names)}{meant}"
+        unknown = [offer_name(name, names) for name in selection.stations if name not in names]
+        found = f"none{f' of {unknown[0]}' if unknown else ''}: there are {first} to {last} of {', '.join(names)}"
         raise BadInputError(f"spectra{selection.options}", "some", found)
     return join_spectra(kept)

@@ -107,7 +107,7 @@ def write_csv(answer: dict[str, Any]) -> bytes:
 
 def write_ecsv(answer: dict[str, Any]) -> bytes:
     """Enhanced CSV of astropy: units and descriptions in the head, with covariances and budgets as JSON text."""
-    table = _make_table(answer)
+    table = make_table(answer)
     table.meta = {"at": answer["at"] or "", "as_of": answer["as_of"] or "", KEY: _write_head(answer)}
     table.meta |= {name: answer[name] for name in ("provenance", "status") if name in answer}
     text = io.StringIO()
@@ -122,7 +122,7 @@ def write_fits(answer: dict[str, Any]) -> bytes:
     """
     from astropy.io import fits
 
-    table = _make_table(answer)
+    table = make_table(answer)
     escape_texts(table)
     hdu = fits.table_to_hdu(table)
     hdu.header["EXTNAME"] = "EFFECTIVE"
@@ -169,7 +169,8 @@ def _encode_texts(values: NDArray[Any]) -> NDArray[Any]:
     return encoded.astype(h5py.string_dtype("utf-8", encoded.dtype.itemsize))
 
 
-def _make_table(answer: dict[str, Any]) -> Table:
+def make_table(answer: dict[str, Any]) -> Table:
+    """The rows as a table of astropy with units and descriptions."""
     from astropy.table import Column, Table
 
     return Table(

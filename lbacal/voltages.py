@@ -49,6 +49,9 @@ def curve_of(effective: QTable) -> CalibrationCurve:
     from lbacal_core.curves.covariance import parse_covariance
     from lbacal_core.curves.curves import CONVERGED, CalibrationCurve
 
+    if not hasattr(effective, "colnames"):
+        expected = 'the table of lbacal.effective, or one curve of a fit such as found["CS002", 17, "X"]'
+        raise BadInputError("effective", expected, type(effective).__name__)
     paths = {(str(row["station"]), int(row["antenna"]), str(row["dipole"])) for row in effective}
     if len(paths) != 1:
         raise BadInputError(
@@ -64,6 +67,10 @@ def curve_of(effective: QTable) -> CalibrationCurve:
     c = column("c")
     if c is None:
         raise BadInputError("effective", "a C in some channel", "none")
+    known = None if covariance is None else parse_covariance(covariance)
+    if known is not None and known.diagonal.size != len(effective):
+        expected = f"all {known.diagonal.size} channels of the curve, as its covariance has them"
+        raise BadInputError("effective", expected, f"{len(effective)} rows (mean(low, high) takes a part of them)")
     return CalibrationCurve(
         station=station or None,
         antenna=None if antenna < 0 else antenna,
@@ -78,5 +85,5 @@ def curve_of(effective: QTable) -> CalibrationCurve:
         lst_coverage=0.0,
         parameters={},
         flag=tuple(str(flag) for flag in effective["flag"]),
-        covariance=None if covariance is None else parse_covariance(covariance),
+        covariance=known,
     )

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from lbacal_core.errors import BadInputError, UnreadableFileError
+from lbacal_core.errors import BadInputError, UnreadableFileError, require_kind
 
 if TYPE_CHECKING:
     from lbacal_core.calibration.left_open import OpenTerm
@@ -76,8 +76,9 @@ def read_report(
     given: str | Path | Reported, option: str, field: str = "verdict"
 ) -> tuple[Mapping[str, Any], int | str | None]:
     """A report, or the content of its file, and the number of a finding behind # (``unexplained``; None for none)."""
-    if not isinstance(given, str | Path):
+    if hasattr(given, "report") and hasattr(given, "number"):
         return given.report, given.number
+    require_kind(option, given, str | Path, "an investigation, a finding, or a report such as 'R.json#0'")
     name, number = _split(str(given))
     try:
         content = json.loads(Path(name).read_text(encoding="utf-8"))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection
 from difflib import get_close_matches
+from typing import Any
 
 LONGEST_FOUND = 120
 """Characters of what was found that a message shows: a file may hold megabytes in the wrong place."""
@@ -58,12 +59,31 @@ class UnknownNameError(LbacalError, status=404, code="unknown_name"):
 KINDS_IN_FILES = ("instrument", "sky model", "antenna model")
 
 
-def near_name(name: str, known: Sequence[str]) -> str | None:
+def near_name(name: str, known: Collection[str]) -> str | None:
     """The one of some names that is most like another, whatever its case; None where none is."""
     plain = {one.lower(): one for one in known}
     held = [one for one in plain if name and name.lower() in one]
     found = held or get_close_matches(name.lower(), plain, n=1)
     return plain[found[0]] if found else None
+
+
+def offer_name(name: Any, known: Collection[str]) -> str:
+    """Quote a name that was found, with the one of some names that may be meant: ``'cs002' (is CS002 meant?)``."""
+    near = near_name(str(name), known)
+    return f"{name!r} (is {near} meant?)" if near else repr(name)
+
+
+def require_name(place: str, name: Any, known: Collection[str]) -> None:
+    """Refuse a name that is not among some."""
+    if name not in known:
+        raise BadInputError(place, f"one of {', '.join(known)}", offer_name(name, known))
+
+
+def require_kind(place: str, value: Any, kind: Any, expected: str) -> None:
+    """Refuse a value of another type."""
+    if not isinstance(value, kind):
+        is_plain = value is None or isinstance(value, str | int | float)
+        raise BadInputError(place, expected, repr(value) if is_plain else type(value).__name__)
 
 
 class MissingExtraError(LbacalError, code="missing_extra"):

@@ -164,6 +164,7 @@ def _break(kind: str, spectra: Spectra, rows: np.ndarray, rng: np.random.Generat
 
 LETTERS = tuple(kind for kind in KINDS if kind.startswith("letters"))
 PATHS = ("dead", "deaf", "oscillating", "clipped")
+RECORD = ("arms", "latitude", "longitude", "clock")
 
 
 def tell_audit(length: str, seed: int) -> Row:
@@ -246,18 +247,30 @@ def judge_unlike_paths(rows: Sequence[Row]) -> list[Found]:
 
 
 def judge_day(rows: Sequence[Row]) -> list[Found]:
+    return [
+        *judge_common(rows),
+        *judge_letters([row for row in rows if row["kind"] in LETTERS]),
+        *judge_record(rows),
+    ]
+
+
+def judge_record(rows: Sequence[Row]) -> list[Found]:
     others = [row for row in rows if row["kind"] in ("latitude", "longitude", "decibels", "volts", "cable")]
     clocks = [row for row in rows if row["kind"] == "clock"]
     close = [row for row in clocks if abs(row.get("off", np.inf)) <= CLOCK_WITHIN_MIN]
     honest = [row for row in clocks if abs(row.get("off", np.inf)) <= CLOCK_SIGMAS * row.get("sigma", 0.0)]
     return [
-        *judge_common(rows),
-        *judge_letters([row for row in rows if row["kind"] in LETTERS]),
         rate_of("record", *_count(others, "right")),
         *judge_arms([row for row in rows if row["kind"] == "arms"]),
         rate_of("clock", len(close), len(clocks)),
         rate_of("error", len(honest), len(clocks)),
     ]
+
+
+def judge_unlike_record(rows: Sequence[Row]) -> list[Found]:
+    """Judge place, arms and clock by how unlike the antennas are."""
+    by_size = {name_size(unlike): [row for row in rows if row["unlike"] == unlike] for unlike in UNLIKE}
+    return [replace(one, key=f"{one.key}_{size}") for size, some in by_size.items() for one in judge_record(some)]
 
 
 def judge_letters(rows: Sequence[Row]) -> list[Found]:
@@ -278,5 +291,6 @@ PARTS = (
     Part("minute", partial(tell_audit, "minute"), judge_common, 3000, by("kind")),
     Part("unlike", partial(tell_unlike, "minute", ("nothing",)), judge_unlike, 1600, by("unlike")),
     Part("unlike-day", partial(tell_unlike, "day", ("nothing",)), judge_unlike, 80, by("unlike")),
+    Part("unlike-record", partial(tell_unlike, "day", RECORD), judge_unlike_record, 1280, by("unlike", "kind")),
     Part("unlike-paths", partial(tell_unlike, "minute", PATHS), judge_unlike_paths, 480, by("unlike", "kind")),
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from itertools import chain
@@ -13,6 +14,7 @@ from astropy.table import QTable
 from lbacal.analysis.data import import_data
 from lbacal.analysis.instrument import Described, core_of
 from lbacal.analysis.result import Result
+from lbacal.files import path_of
 from lbacal.pages.audit import draw_page, draw_station
 from lbacal.pages.report import list_origin
 from lbacal_core.audit.audit import AuditReport
@@ -43,6 +45,8 @@ def audit(
     sky: str | None = None,
     antenna: str | None = None,
     average: Any = None,
+    *,
+    tell: Callable[[str], None] = lambda _: None,
 ) -> Audit:
     """Check stations: dead, deaf or outlying paths, exchanged dipoles, cables, clock, arms, place, unit.
 
@@ -54,6 +58,8 @@ def audit(
         Models of what a working station sees, by name or file; those that the instrument names unless given.
     average
         Time that one spectrum averages, of data that are no spectra yet, s or a Quantity; 900 s unless given.
+    tell
+        Called with a sentence before each step.
 
     Examples
     --------
@@ -62,9 +68,10 @@ def audit(
     >>> lbacal.audit(spectra, "lofar-superterp").wrong
     []
     """
-    spectra = data if isinstance(data, Spectra) else _read(Path(data), instrument, average)
+    spectra = data if isinstance(data, Spectra) else _read(path_of("data", data), instrument, average, tell)
     name = spectra.origin if isinstance(data, Spectra) else Path(data).name
     core = core_of(instrument)
+    tell(f"audit {len(spectra)} spectra")
     report = audit_spectra(spectra, core, sky, antenna)
     wrong = sum(line.verdict == WRONG for line in report.lines)
     rows = [(line.verdict, line.check, line.station, f"{line.sentence}{_odds(line)}") for line in report.lines]
@@ -91,11 +98,11 @@ def _odds(line: Line) -> str:
     return "" if line.log_odds is None else f" (ln odds {line.log_odds:+.0f})"
 
 
-def _read(data: Path, instrument: Described, average: Any) -> Spectra:
+def _read(data: Path, instrument: Described, average: Any, tell: Callable[[str], None]) -> Spectra:
     """Spectra from their file, or averaged from another format to the channels of the instrument."""
     import h5py
 
     is_hdf5 = data.is_file() and data.suffix != ".uvh5" and (data.suffix in (".h5", ".hdf5") or h5py.is_hdf5(data))
     if is_hdf5 and not is_statistics(data) and not is_correlator_file(data):
         return read_spectra(data)
-    return import_data(data, average, instrument)
+    return import_data(data, average, instrument, tell=tell)

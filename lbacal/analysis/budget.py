@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -67,6 +67,8 @@ def budget(
     sky_power: SkyPower | str | Path | None = None,
     sky: str = DEFAULT_SKY_BUDGET,
     left_open: Extended = None,
+    *,
+    tell: Callable[[str], None] = lambda _: None,
 ) -> ErrorBudget:
     """How far C may be off, term by term as in Table 1 of the paper; every term is a refit of these spectra.
 
@@ -79,6 +81,8 @@ def budget(
     left_open
         An `Investigation` of these data whose findings are not adopted, or its report; one of its findings, or
         ``"R.json#n"``, where that one is.
+    tell
+        Called with a sentence before each step.
 
     Examples
     --------
@@ -88,8 +92,12 @@ def budget(
     """
     measured = spectra_of(spectra)
     simulation = simulation_of(instrument, sky_power).smeared(measured)
+    tell("compare the forms of the chain")
     simulation = simulation.with_form(compare_forms(measured, simulation).name)
-    shared, of_antennas = compute_budget(measured, simulation, sky), measure_electronics(measured, simulation)
+    tell("refit with each term")
+    shared = compute_budget(measured, simulation, sky)
+    tell("error of single antennas")
+    of_antennas = measure_electronics(measured, simulation)
     terms = [*shared.terms, *([] if of_antennas is None else [of_antennas])]
     members = sorted(set(zip(measured.station.tolist(), measured.antenna.tolist(), strict=True)))
     terms += [one.for_mean_of(members, terms[0].vectors) for one in read_open_terms(left_open, "left_open")]

@@ -16,9 +16,9 @@ from astropy.table import QTable
 from lbacal.analysis.instrument import Described, core_of, simulation_of
 from lbacal.analysis.result import Result
 from lbacal.calibration_files import holds_curves, read_calibrations
-from lbacal.chain import convert_number
 from lbacal.client import format_time, make_table
 from lbacal.curve_table import CurveTable
+from lbacal.files import path_of
 from lbacal.pages.chart import BAND, COLOURS, LINE, Chart, Series
 from lbacal.pages.curves import FREQUENCY
 from lbacal.selection import (
@@ -28,7 +28,8 @@ from lbacal.selection import (
     parse_selection,
     read_selected,
 )
-from lbacal_core.errors import BadInputError, MissingExtraError
+from lbacal.units import convert_band, convert_number, make_rng
+from lbacal_core.errors import BadInputError, MissingExtraError, require_kind
 from lbacal_core.grids import WITHIN_1_SIGMA, Floats
 from lbacal_core.readers.open import choose_channels, open_source
 from lbacal_core.readers.source import Averaged
@@ -120,8 +121,7 @@ def spectra_of(data: Spectra | str | Path) -> Spectra:
     """The spectra, read where they are a file."""
     if isinstance(data, Spectra):
         return data
-    if not isinstance(data, str | Path):
-        raise BadInputError("spectra", "those of lbacal.read, or the name of a file", type(data).__name__)
+    require_kind("spectra", data, str | Path, "those of lbacal.read, or the name of a file")
     return read_selected([Path(data)], Selection(), time.time())
 
 
@@ -149,10 +149,10 @@ def read(
     >>> import lbacal
     >>> lbacal.read("2014/", since="2014-03-01", stations=["CS002"]).save("spring.h5")  # doctest: +SKIP
     """
-    named = [source] if isinstance(source, str | Path) else list(source or ())
-    if not named:
+    named = [source] if isinstance(source, str | Path) else source
+    if not isinstance(named, Sequence) or not named:
         raise BadInputError("read", "a file or a folder, or a list of them", "none")
-    paths = [Path(one) for one in named]
+    paths = [path_of("read", one) for one in named]
     if len(paths) == 1 and holds_curves(paths[0]):
         return make_table(read_calibrations(paths[0]))
     first, last = (None if at is None else format_time(at) for at in (since, until))
@@ -169,6 +169,7 @@ def import_data(
     station: str | None = None,
     *,
     events: bool = False,
+    tell: Callable[[str], None] = lambda _: None,
 ) -> BackgroundSpectra:
     """Average autocorrelations or station statistics to background spectra, whatever the length of the data.
 
@@ -187,6 +188,8 @@ def import_data(
         Its name, where the data have none.
     events
         Every integration is an event of its own, and nothing is averaged.
+    tell
+        Called with a sentence after each part that was read.
 
     Examples
     --------
@@ -205,10 +208,12 @@ def import_data(
         if value is not None and not 0 < value < np.inf:
             raise BadInputError(name, "a number > 0", f"{value}")
     is_merging, interval = interval is not None, None if events else interval or DEFAULT_INTERVAL_S
-    limits = None if band is None else (convert_number(band[0], u.MHz), convert_number(band[1], u.MHz))
-    opened = open_source(Path(source), station)
+    limits = None if band is None else convert_band(band)
+    opened = open_source(path_of("import_data", source), station)
     chosen = choose_channels(opened, None if instrument is None else core_of(instrument), limits, width)
-    result = average_source(opened, interval, chosen, is_merging_events=is_merging)
+    result = average_source(
+        opened, interval, chosen, lambda count: tell(f"{count} integrations"), is_merging_events=is_merging
+    )
     if instrument is not None:
         core_of(instrument).require_dipoles(result.spectra.dipole, opened.name, opened.arms_deg)
     return BackgroundSpectra.of(
@@ -280,13 +285,12 @@ def simulate(
         raise MissingExtraError("lbacal.simulate", "twin") from error
     simulation = simulation_of(instrument)
     core = simulation.instrument
-    if seed < 0:
-        raise BadInputError("seed", "a whole number, 0 or more", f"{seed}")
+    rng = make_rng(seed)
     chosen = ([stations] if isinstance(stations, str) else stations) or sorted(
         {record.station for record in core.antennas}
     )[:1]
     settings = TwinSettings(events_per_year=events, antennas=antennas, stations=tuple(chosen))
-    campaign = simulate_campaign(settings, core, simulation.sky_power, np.random.default_rng(seed))
+    campaign = simulate_campaign(settings, core, simulation.sky_power, rng)
     paths = [
         (one.station, int(antenna), dipole, one.c[row, k])
         for one in campaign.truth.stations

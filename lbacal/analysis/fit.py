@@ -25,12 +25,13 @@ from lbacal_core.audit.audit import audit_quickly
 from lbacal_core.calibration.left_open import widen_by_open_terms
 from lbacal_core.calibration.one_event import ErrorOfC, measure_error
 from lbacal_core.calibration.paths import LEAST_COVERAGE
+from lbacal_core.calibration.singles import MIN_EVENTS
 from lbacal_core.causes.model import Model
 from lbacal_core.curves.curves import CONVERGED, MISFIT, Anomalies, CalibrationCurve, FitReport
 from lbacal_core.curves.galcal import describe_made_with
 from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.discovery.forward import divide_out
-from lbacal_core.errors import BadInputError
+from lbacal_core.errors import BadInputError, require_name
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.pipeline import calibrate
 from lbacal_core.simulation.simulation import Simulation
@@ -91,7 +92,7 @@ class Calibration(Result):
             is_wanted = tuple(part for part in (*curve.owner, curve.dipole) if part is not None) == wanted
             if is_wanted and curve.c is None:
                 raise BadInputError(curve.name, "a curve that converged", curve.status)
-        rows: CurveTable = self.table[wanted]
+        rows: CurveTable = self.table.find_curve(wanted)
         return rows
 
 
@@ -133,8 +134,7 @@ def fit(
     Unit("V")
     >>> found.save("C.fits")  # doctest: +SKIP
     """
-    if scope not in SCOPES:
-        raise BadInputError("scope", f"one of {', '.join(SCOPES)}", repr(scope))
+    require_name("scope", scope, SCOPES)
     simulation, causes = simulation_of(instrument, sky_power), read_model(with_, "with_")
     simulation = simulation if causes.is_plain else simulation.with_causes(causes)
     simulation.causes.require_one_c("with_")
@@ -201,8 +201,9 @@ def _describe_rest(report: FitReport, simulation: Simulation, spectra: int) -> I
         yield f"{_describe_misfits(misfits, is_own_sky=bool(simulation.is_own_sky))}; next: {NEXT_STEP}"
     for curve in report.curves:
         if curve.c is None:
+            events = f"{curve.events} events{f', {MIN_EVENTS} needed' if curve.events < MIN_EVENTS else ''}"
             needed = f", {LEAST_COVERAGE:.2f} needed" if curve.lst_coverage < LEAST_COVERAGE else ""
-            yield f"{curve.name}: {curve.status} ({curve.events} events, LST coverage {curve.lst_coverage:.2f}{needed})"
+            yield f"{curve.name}: {curve.status} ({events}, LST coverage {curve.lst_coverage:.2f}{needed})"
     reasons = [curve.merged.reason for curve in report.curves if curve.merged is not None]
     for reason in dict.fromkeys(reasons):
         yield f"{reasons.count(reason)} of {len(report.curves)} curves: {reason}"

@@ -7,11 +7,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Union
 
+import numpy as np
 from astropy import units as u
 
-from lbacal.chain import Chain, convert_number, convert_numbers, spread_numbers
+from lbacal.chain import Chain, spread_numbers
+from lbacal.files import path_of, written_beside
 from lbacal.settings import causes_file
-from lbacal_core.errors import BadInputError
+from lbacal.units import convert_number, convert_numbers
+from lbacal_core.errors import BadInputError, require_kind
 from lbacal_core.instrument.antennas import ABSOLUTE, AntennaRecord, GainProvenance
 from lbacal_core.instrument.antennas import Site as CoreSite
 from lbacal_core.instrument.instrument import Instrument as CoreInstrument
@@ -92,10 +95,11 @@ class Instrument:
             ("antenna: arms", getattr(antenna, "arms", None), Mapping, "{'X': 225.0, 'Y': 135.0}"),
             ("chain", chain, Chain, "lbacal.Chain([20 * u.dB])"),
         ):
-            if not isinstance(value, kind):
-                raise BadInputError(place, f"one such as {example}", type(value).__name__)
+            require_kind(place, value, kind, f"one such as {example}")
         frequency_mhz = convert_numbers(frequency, u.MHz)
-        arms = {letter: arm if isinstance(arm, tuple) else (arm, 0.0) for letter, arm in antenna.arms.items()}
+        arms = {str(letter): arm if isinstance(arm, tuple) else (arm, 0.0) for letter, arm in antenna.arms.items()}
+        if any(len(arm) != 2 for arm in arms.values()):
+            raise BadInputError("antenna: arms", "an azimuth, or (azimuth, tilt)", repr(dict(antenna.arms)))
         tilts = {letter: convert_number(tilt, u.deg) for letter, (_, tilt) in arms.items()}
         by_station = antennas if isinstance(antennas, Mapping) else {STATION: antennas}
         stages = chain.core_stages(frequency_mhz)
@@ -113,9 +117,7 @@ class Instrument:
             receiver_gain=chain.receiver_gain(frequency_mhz).copy(),
             cables={CABLE: chain.cable_loss(frequency_mhz).copy()},
             antennas=tuple(
-                AntennaRecord(station, int(number), CABLE)
-                for station, numbers in by_station.items()
-                for number in (range(numbers) if isinstance(numbers, int) else numbers)
+                AntennaRecord(station, number, CABLE) for station, own in by_station.items() for number in _number(own)
             ),
             antenna=antenna.model,
             sky=sky,
@@ -149,7 +151,7 @@ class Instrument:
         ['G_ant, 10 %']
         """
         made = type(self).__new__(type(self))
-        alternatives = {**self.core.alternatives, name: tuple(one.core for one in others)}
+        alternatives = {**self.core.alternatives, name: tuple(core_of(one) for one in others)}
         made.core = replace(self.core, alternatives=alternatives)
         return made
 
@@ -157,7 +159,8 @@ class Instrument:
         """Write the instrument file (docs/formats/instrument.md)."""
         import json
 
-        Path(path).write_text(json.dumps(self.core.as_dict(), indent=1) + "\n")
+        with written_beside(path_of("save", path)) as beside:
+            beside.write_text(json.dumps(self.core.as_dict(), indent=1) + "\n")
 
     def sky_power(self) -> SkyPower:
         """P_sky(LST, nu) of each dipole from the sky and antenna models that the instrument names."""
@@ -175,6 +178,14 @@ class Instrument:
         )
 
 
+def _number(antennas: Any) -> list[int]:
+    """The numbers of the antennas of a station, which are given, or how many there are."""
+    found = np.asarray(range(antennas) if isinstance(antennas, int) else antennas)
+    if found.ndim != 1 or found.size == 0 or found.dtype.kind not in "iu" or found.min() < 0:
+        raise BadInputError("antennas", "how many there are, 1 or more, or their numbers", repr(antennas))
+    return [int(number) for number in found]
+
+
 Described = Union[Instrument, CoreInstrument, "Simulation", str, Path]
 """What a verb takes for the instrument: one from its parts, the name or the file of one, or one under a sky."""
 
@@ -184,6 +195,7 @@ def core_of(instrument: Any) -> CoreInstrument:
     if isinstance(instrument, str | Path):
         return load_instrument(str(instrument))
     found: CoreInstrument = getattr(instrument, "core", getattr(instrument, "instrument", instrument))
+    require_kind("instrument", found, CoreInstrument, "a lbacal.Instrument, or the name or the file of one")
     return found
 
 
@@ -191,9 +203,10 @@ def simulation_of(instrument: Any, sky_power: SkyPower | str | Path | None = Non
     """The instrument under its own sky, or under a P_sky that is given or read."""
     from lbacal_core.causes.own import catalogue_with
     from lbacal_core.simulation.simulation import Simulation
-    from lbacal_core.sky.table import read_sky_power
+    from lbacal_core.sky.table import SkyPower, read_sky_power
 
     if isinstance(instrument, Simulation):
         return instrument
     given = read_sky_power(Path(sky_power)) if isinstance(sky_power, str | Path) else sky_power
+    require_kind("sky_power", given, SkyPower | None, "a P_sky, or the name of its file")
     return Simulation(core_of(instrument), given, catalogue=catalogue_with(causes_file()))

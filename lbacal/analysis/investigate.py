@@ -8,18 +8,17 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from astropy import units as u
 from astropy.table import QTable
 
 from lbacal.analysis.data import spectra_of
 from lbacal.analysis.instrument import Described, simulation_of
 from lbacal.analysis.result import Result
-from lbacal.chain import convert_number
 from lbacal.pages.chart import Chart
 from lbacal.pages.curve import draw_change, draw_curve, draw_curve_page, draw_ranking
 from lbacal.pages.finding import draw_finding, draw_scores, tell_rivals
 from lbacal.pages.investigation import draw_page
 from lbacal.pages.report import list_origin
+from lbacal.units import convert_band
 from lbacal.with_model import Extended, read_model
 from lbacal_core.audit.audit import audit_quickly
 from lbacal_core.data.lofar import SUPERTERP
@@ -129,8 +128,7 @@ def investigate(
         if with_ is not None:
             raise BadInputError("with_", "spectra beside it", "an LST curve")
         curve = data if isinstance(data, LstCurve) else read_lst_curve(Path(data))
-        limits = convert_number(band[0], u.MHz), convert_number(band[1], u.MHz)
-        return _investigate_curve(curve, simulation_of(instrument or SUPERTERP, sky_power), limits)
+        return _investigate_curve(curve, simulation_of(instrument or SUPERTERP, sky_power), convert_band(band))
     if instrument is None:
         raise BadInputError("instrument", "an instrument beside spectra, or the name of one", "None")
     simulation, causes = simulation_of(instrument, sky_power), read_model(with_, "with_")

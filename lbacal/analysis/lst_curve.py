@@ -12,9 +12,10 @@ from astropy.table import QTable
 
 from lbacal.analysis.instrument import Described, simulation_of
 from lbacal.analysis.result import Result
-from lbacal.chain import convert_number
+from lbacal.files import path_of
 from lbacal.pages.curve import draw_comparison
 from lbacal.pages.report import list_origin
+from lbacal.units import convert_band
 from lbacal_core.data.lofar import DIPOLES, SUPERTERP
 from lbacal_core.lstcurve.curve import BAND_MHZ, Comparison, LstCurve, compare_lst_curve, read_lst_curve
 from lbacal_core.sky.table import SkyPower
@@ -49,9 +50,9 @@ def lst_curve(
     >>> import lbacal
     >>> lbacal.lst_curve("measured.csv").save("lst.png")  # doctest: +SKIP
     """
-    measured = curve if isinstance(curve, LstCurve) else read_lst_curve(Path(curve))
+    measured = curve if isinstance(curve, LstCurve) else read_lst_curve(path_of("curve", curve))
     simulation = simulation_of(instrument, sky_power)
-    limits = convert_number(band[0], u.MHz), convert_number(band[1], u.MHz)
+    limits = convert_band(band)
     found = compare_lst_curve(measured, simulation.sky_power, simulation.instrument, limits)
     every = [found.of(d, has_noise=has_noise) for has_noise in (False, True) for d in DIPOLES]
     words = [f"sky and noise (share {one.noise_share:.3f})" if one.has_noise else "sky alone" for one in every]

@@ -11,6 +11,7 @@ from typing import Any
 import h5py
 import numpy as np
 from astropy import units as u
+from astropy.constants import k_B
 from astropy.table import QTable
 
 from lbacal.analysis.fit import Calibration
@@ -21,11 +22,13 @@ from lbacal.curve_table import SHOWN_NAMES
 from lbacal.instants import format_instant, parse_instant
 from lbacal.pages.chart import BAND, LINE, Chart, Series
 from lbacal.pages.curves import FREQUENCY
+from lbacal.units import convert_number, make_rng
 from lbacal.with_model import Extended, read_model
 from lbacal_core.calibration.prediction import EventNoise
+from lbacal_core.calibration.spreads import carry_to_path
 from lbacal_core.discovery.forward import predict as predict_path
 from lbacal_core.discovery.forward import predict_alone
-from lbacal_core.errors import BadInputError, UnknownNameError
+from lbacal_core.errors import BadInputError, UnknownNameError, require_kind
 from lbacal_core.grids import Floats
 from lbacal_core.traces.noise import draw_noise
 
@@ -78,7 +81,7 @@ def draw_together(predictions: Sequence[Prediction], count: int, seed: int = 1) 
     """
     if not isinstance(count, int | np.integer) or count < 1:
         raise BadInputError("count", "a number of events, 1 or more", repr(count))
-    rng = np.random.default_rng(seed)
+    rng = make_rng(seed)
     gains = _draw_stations(predictions, count, rng)
     return [
         np.asarray(one.power * _noise_of(one.content).draw(count, rng, gains[one.content["station"]]))
@@ -101,7 +104,7 @@ def draw_traces(
     >>> [trace.shape for trace in lbacal.draw_traces([seen], samples=4096)]
     [(4096,)]
     """
-    rng = np.random.default_rng(rng)
+    rng = rng if isinstance(rng, np.random.Generator) else make_rng(rng)
     gains, traces = _draw_stations(predictions, 1, rng), []
     for one in predictions:
         gain = _noise_of(one.content).draw_gains(1, rng, gains[one.content["station"]])
@@ -133,8 +136,9 @@ def predict(
     Parameters
     ----------
     source
-        A `Calibration`, whose spectra say how events scatter; or an instrument by itself, as in `lbacal.fit`; or None
-        for the calibration in effect, which the server of `LBACAL_URL` answers with.
+        A `Calibration`: its curve of the path, whose spectra say how events scatter, or that of its station or the
+        array through the path's cable; or an instrument by itself, as in `lbacal.fit`; or None for the calibration in
+        effect, which the server of `LBACAL_URL` answers with.
     at
         An astropy Time, a datetime (naive = UTC) or ISO 8601 text.
     temperature
@@ -153,15 +157,12 @@ def predict(
     >>> seen.draw_events(100).shape  # doctest: +SKIP
     (100, 51)
     """
-    celsius = temperature
-    if isinstance(temperature, u.Quantity):
-        celsius = temperature.to_value(u.deg_C, u.temperature())
+    celsius = None if temperature is None else convert_number(temperature, u.deg_C)
     path: dict[str, Any] = {"station": station, "antenna": antenna, "dipole": dipole}
     for name, kind, expected in (
         ("station", str, "a name"), ("antenna", int | np.integer, "a number"), ("dipole", str, "a letter"),
     ):  # fmt: skip
-        if not isinstance(path[name], kind):
-            raise BadInputError(name, expected, repr(path[name]))
+        require_kind(name, path[name], kind, expected)
     path["antenna"] = antenna = int(antenna)
     instant = parse_instant("at", format_time(at))
     if with_ is not None and (source is None or isinstance(source, Calibration)):
@@ -174,16 +175,21 @@ def predict(
         simulation = simulation if with_ is None else simulation.with_causes(read_model(with_, "with_"))
         found = predict_alone(simulation, station, antenna, dipole, 1e-6 * instant, celsius)
         return _make({"at": format_instant(instant), **found.as_dict()})
-    curves = {one.path: one for one in source.report.curves}
-    curve = curves.get((station, antenna, dipole))
-    if curve is None:
-        wanted, names = f"{station} antenna {antenna} {dipole}", [one.name for one in curves.values()]
+    curves = {one.path: k for k, one in enumerate(source.report.curves)}
+    owners = ((station, antenna, dipole), (station, None, dipole), (None, None, dipole))
+    at_curve = next((curves[owner] for owner in owners if owner in curves), None)
+    if at_curve is None:
+        wanted, names = f"{station} antenna {antenna} {dipole}", [one.name for one in source.report.curves]
         raise UnknownNameError("curve", wanted, names[:SHOWN_NAMES])
-    named = None if curve.covariance is None else source.report.budgets.get(str(curve.covariance.budget))
-    noise = None
-    if curve.c is not None:
+    curve, noise = source.report.curves[at_curve], None
+    is_own = curve.antenna is not None
+    if not is_own:
+        source.instrument.cable_of(station, antenna, 1e-6 * instant)
+        curve = carry_to_path(curve, source.report.chains[at_curve], station, antenna, dipole, 1e-6 * instant).curve
+    elif curve.c is not None:
         noise = EventNoise.measured(curve, source.without_causes, source.simulation, source.report.curves)
-    found = predict_path(curve, source.with_sizes, 1e-6 * instant, noise, named, celsius)
+    named = None if curve.covariance is None else source.report.budgets.get(str(curve.covariance.budget))
+    found = predict_path(curve, source.with_sizes, 1e-6 * instant, noise, named, celsius, is_own=is_own)
     return _make({"at": format_instant(instant), **found.as_dict()})
 
 
@@ -201,6 +207,8 @@ def _make(content: Mapping[str, Any]) -> Prediction:
         if one["kelvin"] is not None:
             columns[f"{name}_temperature"] = np.array(one["kelvin"]) * u.K
     columns |= {"sefd": sefd * u.Jy, "sefd_sigma": sefd_sigma * u.Jy}
+    sensitivity = (2.0 * k_B / columns["sefd"]).to(u.m**2 / u.K)
+    columns |= {"a_eff_t_sys": sensitivity, "a_eff_t_sys_sigma": sensitivity * sefd_sigma / sefd}
     at = np.unique(np.linspace(0, nu.size - 1, SHOWN).round().astype(int))
     adc, shown = content["adc"], []
     if adc is not None:

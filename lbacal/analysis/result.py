@@ -10,7 +10,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lbacal.files import written_beside
+from lbacal.files import path_of, written_beside
 from lbacal.pages.chart import Chart, plot_charts
 from lbacal.pages.tables import align
 from lbacal.tables import escape_texts
@@ -90,6 +90,8 @@ class Result:
         """All that there is to see as a figure; or what matters most, on axes of matplotlib."""
         if ax is None:
             return plot_charts(list(self.charts()), self.columns)
+        if not hasattr(ax, "fill_between"):
+            raise BadInputError("plot", "axes of matplotlib (save(path) writes a file)", type(ax).__name__)
         chart = self.main() if self.main else next(iter(self.charts()), None)
         if chart is not None:  # a report made before it carried figures has none
             chart.draw(ax)
@@ -108,7 +110,9 @@ class Result:
             ".html": self._write_page,
             **dict.fromkeys(IMAGES, lambda out: self.plot().savefig(out, dpi=150)),
         }
-        file = Path(path)
+        file = path_of("save", path)
+        if file.is_dir():
+            raise BadInputError(f"save {path}", "a file to write", "a folder")
         is_stream = file.exists() and not file.is_file()
         suffix = form or (self.fallback if is_stream else file.suffix.lower())
         if suffix not in writers:

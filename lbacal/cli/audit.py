@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from lbacal.cli.options import InstrumentName
-from lbacal.cli.outputs import require_outputs
+from lbacal.cli.outputs import progress, require_outputs, save_each
 
 EXIT_WRONG = 3
 """Exit code when something is wrong with a station: the work was done, so neither 1 nor 2."""
@@ -32,11 +32,11 @@ def audit(
     """
     from lbacal.analysis.audit import audit as audit_data
 
-    require_outputs({"--report": report, "--html": html}, {"DATA": data, "--instrument": instrument})
-    found = audit_data(data, instrument, sky, antenna, average)
+    outputs = {"--report": report, "--html": html}
+    require_outputs(outputs, {"DATA": data, "--instrument": instrument})
+    with progress() as tell:
+        found = audit_data(data, instrument, sky, antenna, average, tell=tell)
     print("\n".join([*found.lines, found.title]))
-    for path, form in ((report, ".json"), (html, ".html")):
-        if path is not None:
-            found.save(path, form)
+    save_each(found, outputs)
     if found.wrong:
         raise typer.Exit(EXIT_WRONG)

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from lbacal.cli.options import InstrumentName, Since, SkyPowerFile, SpectraFiles, Stations, Until, Year
-from lbacal.cli.outputs import require_image, require_outputs
+from lbacal.cli.outputs import progress, require_outputs, save_each
 from lbacal.selection import find_spectra_files, parse_selection, read_selected
 
 
@@ -36,17 +36,14 @@ def budget(
     Example: lbacal budget spectra.h5 --instrument lofar-superterp --sky measured --plot budget.png
     """
     from lbacal.analysis.budget import budget as make_budget
-    from lbacal_core.simulation.simulation import Simulation
 
     selection = parse_selection(since, until, year, station)
     files = find_spectra_files(spectra)
     inputs = {"--instrument": instrument, "--sky-power": sky_power}
-    require_outputs({"--report": report, "--plot": plot}, {**inputs, **{f"SPECTRA {file}": file for file in files}})
-    require_image(plot)
-    measured = read_selected(files, selection, time.time())
-    simulation = Simulation.load(instrument, sky_power)
-    found = make_budget(measured, simulation, None, sky, left_open)
+    outputs = {"--report": report, "--plot": plot}
+    require_outputs(outputs, {**inputs, **{f"SPECTRA {file}": file for file in files}})
+    with progress() as tell:
+        measured = read_selected(files, selection, time.time(), tell)
+        found = make_budget(measured, instrument, sky_power, sky, left_open, tell=tell)
     print("\n".join([*found.lines, found.title]))
-    for path, form in ((report, ".json"), (plot, None)):
-        if path is not None:
-            found.save(path, form)
+    save_each(found, outputs)

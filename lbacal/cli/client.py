@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -14,7 +13,7 @@ from typing import Annotated, Any
 
 import typer
 
-from lbacal.cli.outputs import require_outputs
+from lbacal.cli.outputs import progress, require_outputs
 from lbacal.client import CachedAnswerWarning, Client, describe_snapshot
 from lbacal.files import written_beside
 from lbacal_core.errors import BadInputError, name_path
@@ -31,15 +30,16 @@ Format = StrEnum("Format", ["table", "json", "csv", "ecsv", "fits", "hdf5", "nur
 """How an answer is written."""
 
 
-def ingest(spectra: Annotated[Path, typer.Argument(help="Spectra file (HDF5, lbacal-spectra-1).")]) -> None:
+def ingest(
+    spectra: Annotated[Path, typer.Argument(help="Spectra file (HDF5, lbacal-spectra-1).")], as_json: Json = False
+) -> None:
     """Send spectra to the server in bundles of whole events; run again, it sends what is missing.
 
     Example: lbacal ingest spectra.h5
     """
-    with Client() as client, _progress("events") as on_event:
-        total = client.ingest(spectra, on_event)
-    print_warnings(total)
-    print(f"{total['received']} spectra sent: {total['stored']} stored, {total['duplicates']} there already")
+    with Client() as client, progress() as tell:
+        total = client.ingest(spectra, lambda k, n: tell(f"{k} of {n} events", k, n))
+    show(total, print_receipt, as_json=as_json)
 
 
 def effective(
@@ -96,8 +96,14 @@ def sync(
 
     Run again, it fetches what is missing or damaged. With --station, --since or --until it holds that part alone.
     """
-    with Client() as client, _progress("answers") as on_step:
-        snapshot, fetched = client.sync(tag, on_step, stations=station or (), since=since, until=until)
+    with Client() as client, progress() as tell:
+        snapshot, fetched = client.sync(
+            tag,
+            lambda k, n: tell(f"{k} of {n} answers", k, n),
+            stations=station or (),
+            since=since,
+            until=until,
+        )
     print(f"{describe_snapshot(snapshot)}: {len(snapshot.files)} files, {fetched} answers fetched")
 
 
@@ -121,8 +127,9 @@ def refit(
     with Client() as client:
         job = client.refit(
             scope, since, until, reason=reason, station=station, antenna=antenna, dipole=dipole, promote=promote,
-            wait=wait, fit=fit,
+            wait=False, fit=fit,
         )  # fmt: skip
+        job = wait_for(client, job["job"]) if wait else job
     show(job, partial(print_job, most=SHOWN), as_json=as_json)
     if job["state"] == "failed":
         raise typer.Exit(1)
@@ -160,6 +167,12 @@ def show_each(found: list[Any], tell: Callable[[Any], object], nothing: str, *, 
     show(found, tell_all, as_json=as_json)
 
 
+def print_receipt(total: dict[str, Any]) -> None:
+    """Print how many spectra were sent and stored."""
+    print_warnings(total)
+    print(f"{total['received']} spectra sent: {total['stored']} stored, {total['duplicates']} there already")
+
+
 def print_warnings(receipt: dict[str, Any]) -> None:
     """Print what the server warns of when spectra come in."""
     for sentence in receipt.pop("warnings", []):
@@ -192,6 +205,12 @@ def print_curve(curve: dict[str, Any], *, is_explained: bool = False) -> None:
         print(f"  {frequency:13g} {c:13.6g} {sigma:13.3g} {of_rest:>12} {'':20} {flag}")
 
 
+def wait_for(client: Client, number: int) -> dict[str, Any]:
+    """Wait for a job, and show how far it is."""
+    with progress() as tell:
+        return client.wait_for(number, lambda job: tell(f"job {number} {job['state']}, {job['progress']:.0%}"))
+
+
 def print_job(job: dict[str, Any], *, most: int = 0) -> None:
     """Print one line about a job, with what a refit made, and why it failed or what the gate kept back.
 
@@ -214,21 +233,3 @@ def print_job(job: dict[str, Any], *, most: int = 0) -> None:
         print(f"  {one[:12]} {what}")
     if len(named) > most > 0:
         print(f"  and {len(named) - most} more")
-
-
-@contextmanager
-def _progress(what: str) -> Iterator[Callable[[int, int], None]]:
-    """A bar on a terminal, else one line at each tenth."""
-
-    def print_tenth(k: int, total: int) -> None:
-        if k == total or k % max(1, total // 10) == 0:
-            print(f"{k} of {total} {what}", file=sys.stderr, flush=True)
-
-    if not sys.stderr.isatty():
-        yield print_tenth
-        return
-    from rich.progress import Progress
-
-    with Progress(transient=True) as bar:
-        task = bar.add_task(what)
-        yield lambda k, total: bar.update(task, completed=k, total=total)

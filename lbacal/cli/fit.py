@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from lbacal.cli.options import InstrumentName, Since, SkyPowerFile, SpectraFiles, Stations, Until, Year
-from lbacal.cli.outputs import progress, require_image, require_outputs
+from lbacal.cli.outputs import progress, require_outputs, save_each
 from lbacal.files import written_beside
 from lbacal.selection import find_spectra_files, parse_selection, read_selected
 from lbacal.with_model import HELP, read_model, report_path
@@ -61,21 +61,20 @@ def fit(
         {**known, **{f"SPECTRA {file}": file for file in files}},
     )
     require_format("--output", output)
-    require_image(plot)
     read_model(with_).require_one_c(f"--with {with_}")
     simulation = Simulation.load(instrument, sky_power)
     given = "" if sky_power is None else f" --sky-power {sky_power}"
     rerun = f"{' '.join(str(path) for path in spectra)}{selection.options} --instrument {instrument}{given}"
-    with progress(len(files) + STEPS_OF_FIT + (html is not None or plot is not None)) as tell:
+    steps = len(files) + STEPS_OF_FIT + (html is not None or plot is not None)
+    with progress(steps) as tell:
         measured = read_selected(files, selection, time.time(), tell)
         found = fit_spectra(measured, simulation, None, scope.value, with_, tell=tell)
         with written_beside(report) as beside:
             write_fit_report(found.report, beside)
         found.save(output)
-        for drawn, form in ((plot, None), (html, ".html")):
-            if drawn is not None:
-                tell("draw")
-                found.save(drawn, form)
+        if html is not None or plot is not None:
+            tell("draw")
+        save_each(found, {"--plot": plot, "--html": html})
     written = " and ".join(str(path) for path in (output, report, html, plot) if path is not None)
     next_step = f"lbacal investigate {rerun} --report R.json --html R.html"
     said = [line.replace(NEXT_STEP, next_step) for line in found.lines]

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from lbacal.cli.outputs import require_outputs
+from lbacal.cli.outputs import progress, require_outputs
 
 
 def import_(
@@ -40,6 +40,7 @@ def import_(
     from lbacal.analysis.data import import_data
 
     require_outputs({"--output": output}, {"SOURCE": source, "--instrument": instrument})
-    spectra = import_data(source, average, instrument, channel_mhz, band, station, events=events)
+    with progress() as tell:
+        spectra = import_data(source, average, instrument, channel_mhz, band, station, events=events, tell=tell)
     spectra.save(output, ".h5")
     print("\n".join([*spectra.notes[:-1], f"wrote {output}: {spectra.notes[-1]}"]))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from pathlib import Path
 from typing import Annotated
@@ -67,7 +66,7 @@ def investigate(
         raise typer.BadParameter("name the report to write with --report")
     from lbacal.analysis.instrument import simulation_of
     from lbacal.analysis.investigate import investigate as investigate_data
-    from lbacal.cli.outputs import require_outputs
+    from lbacal.cli.outputs import progress, require_outputs, save_each
     from lbacal_core.lstcurve.curve import read_lst_curve
 
     if (not spectra) == (lst_curve is None):
@@ -82,16 +81,12 @@ def investigate(
     inputs: dict[str, str | Path | None] = {f"SPECTRA {file}": file for file in files}
     inputs |= {"--lst-curve": lst_curve, "--sky-power": sky_power}
     inputs["--with"] = None if with_ is None else report_path(with_)
-    require_outputs({"--report": report, "--html": html}, {**inputs, "--instrument": instrument})
+    outputs = {"--report": report, "--html": html}
+    require_outputs(outputs, {**inputs, "--instrument": instrument})
     read_model(with_)
     simulation = simulation_of(instrument or "lofar-superterp", sky_power)
-    measured = read_lst_curve(lst_curve) if lst_curve else read_selected(files, selection, time.time(), _say)
-    found = investigate_data(measured, simulation, None, with_, band, tell=_say)
-    for path, form in ((report, ".json"), (html, ".html")):
-        if path is not None:
-            found.save(path, form)
+    with progress() as tell:
+        measured = read_lst_curve(lst_curve) if lst_curve else read_selected(files, selection, time.time(), tell)
+        found = investigate_data(measured, simulation, None, with_, band, tell=tell)
+    save_each(found, outputs)
     print("\n".join([f"{found.verdict}; wrote {report}{f' and {html}' if html else ''}", *found.lines]))
-
-
-def _say(step: str) -> None:
-    print(step, file=sys.stderr)

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from lbacal.cli.client import SHOWN, Antenna, Dipole, Json, Station, print_job, show, show_each
+from lbacal.cli.client import SHOWN, Antenna, Dipole, Json, Station, print_job, show, show_each, wait_for
 from lbacal.client import Client
 from lbacal_core.errors import BadInputError, name_path
 
@@ -157,6 +157,7 @@ def adopt(
     promote: Annotated[bool, typer.Option("--promote", help="Put into effect what passes the gate.")] = False,
     dry_run: DryRun = False,
     wait: Wait = True,
+    as_json: Json = False,
 ) -> None:
     """Adopt a finding: from its window on, fits of the station have the cause; the windows it touches are fitted again.
 
@@ -167,18 +168,17 @@ def adopt(
         path = f"/v1/investigations/{investigation}/adoption"
         done = client.send("POST", path, body, dry_run=dry_run or None)
         if dry_run:
-            print(f"model {done['model'][:12]} would be adopted: {done['cause']}")
-            _print_promise(*done["promise"])
-            print_act(done, dry_run=True)
+            show(done, _print_adoption, as_json=as_json)
             return
-        print(f"model {done['model'][:12]} is adopted; withdraw it with `lbacal abandon {done['model'][:12]}`")
-        follow(client, done["jobs"], wait=wait)
+        said = f"model {done['model'][:12]} is adopted; withdraw it with `lbacal abandon {done['model'][:12]}`"
+        follow(client, done, said, wait=wait, as_json=as_json)
 
 
 def abandon(
     model: Annotated[str, typer.Argument(help="Model, or six or more first digits of its id.")],
     reason: Reason,
     wait: Wait = True,
+    as_json: Json = False,
 ) -> None:
     """Withdraw the cause that was adopted with a model; what was in effect before answers again at once.
 
@@ -186,8 +186,7 @@ def abandon(
     """
     with Client() as client:
         done = client.send("POST", f"/v1/models/{model}/withdrawal", {"reason": reason})
-        print(f"the station has model {done['model'][:12]} again")
-        follow(client, done["jobs"], wait=wait)
+        follow(client, done, f"the station has model {done['model'][:12]} again", wait=wait, as_json=as_json)
 
 
 def models(as_json: Json = False) -> None:
@@ -199,19 +198,31 @@ def models(as_json: Json = False) -> None:
         show_each(client.list("/v1/models", "models"), print_model, "no models", as_json=as_json)
 
 
-def follow(client: Client, jobs: list[int], *, wait: bool) -> None:
+def follow(client: Client, done: dict[str, Any], said: str, *, wait: bool, as_json: bool) -> None:
     """Print the refits, once they have ended if they are waited for; a failed one ends the command with 1."""
-    found = [client.wait_for(number) if wait else client.job(number) for number in jobs]
-    for job in found:
-        print_job(job)
+    if not as_json:
+        print(said)
+    found = [wait_for(client, number) if wait else client.job(number) for number in done["jobs"]]
+    show(done | {"jobs": found}, _print_jobs, as_json=as_json)
     if any(job["state"] == "failed" for job in found):
         raise typer.Exit(1)
 
 
-def _print_promise(gain: float, sigma: float) -> None:
-    """Print what a cause is to gain on as many events again, once the selection of the largest score is taken off."""
+def _print_jobs(done: dict[str, Any]) -> None:
+    for job in done["jobs"]:
+        print_job(job)
+
+
+def _print_adoption(done: dict[str, Any]) -> None:
+    """Print what an adoption would change, and what the cause is to gain on as many events again.
+
+    The selection of the largest score is taken off the gain.
+    """
+    print(f"model {done['model'][:12]} would be adopted: {done['cause']}")
+    gain, sigma = done["promise"]
     doubt = "" if gain > 0.0 else "; so small a finding is not expected to pay"
     print(f"promised on as many events again: log-likelihood {gain:+.1f} ± {sigma:.1f}{doubt}")
+    print_act(done, dry_run=True)
 
 
 def print_model(one: dict[str, Any]) -> None:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from lbacal.cli.options import Band, SkyPowerFile
-from lbacal.cli.outputs import require_image, require_outputs
+from lbacal.cli.outputs import require_outputs, save_each
 
 
 def lst_curve(
@@ -27,12 +27,8 @@ def lst_curve(
     """
     from lbacal.analysis.lst_curve import lst_curve as compare
 
-    require_outputs(
-        {"--report": report, "--plot": plot}, {"CURVE": curve, "--instrument": instrument, "--sky-power": sky_power}
-    )
-    require_image(plot)
+    outputs = {"--report": report, "--plot": plot}
+    require_outputs(outputs, {"CURVE": curve, "--instrument": instrument, "--sky-power": sky_power})
     found = compare(curve, instrument, sky_power, band)
-    for path, form in ((report, ".json"), (plot, None)):
-        if path is not None:
-            found.save(path, form)
+    save_each(found, outputs)
     print("\n".join([*found.lines, f"wrote {report}" + (f" and {plot}" if plot else "")]))

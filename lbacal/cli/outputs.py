@@ -5,14 +5,19 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
+from threading import Timer
 
-from lbacal.analysis.result import IMAGES
+from lbacal.analysis.result import IMAGES, Result
 from lbacal_core.errors import BadInputError
+
+FORMS = {"--report": ".json", "--html": ".html"}
+"""As what these options are written, whatever the end of the name."""
 
 
 def require_outputs(outputs: Mapping[str, Path | None], inputs: Mapping[str, str | Path | None]) -> None:
-    """Refuse outputs that cannot be written, that are the same file, or that would replace an input.
+    """Refuse outputs that cannot be written or drawn, that are the same file, or that would replace an input.
 
     Parameters
     ----------
@@ -29,38 +34,65 @@ def require_outputs(outputs: Mapping[str, Path | None], inputs: Mapping[str, str
             raise BadInputError(f"{option} {path}", "a file in a folder that exists", f"no folder {path.parent}")
         if path.resolve() in taken:
             raise BadInputError(f"{option} {path}", "a file of its own", f"the file of {taken[path.resolve()]}")
+        if option == "--plot" and path.suffix.lower() not in IMAGES:
+            expected = f"a name that ends in {', '.join(IMAGES)}"
+            raise BadInputError(f"--plot {path}", expected, path.suffix or "no ending")
         taken[path.resolve()] = option
 
 
-def require_image(plot: Path | None) -> None:
-    """Refuse a figure in a form that cannot be drawn."""
-    if plot is not None and plot.suffix.lower() not in IMAGES:
-        raise BadInputError(f"--plot {plot}", f"a name that ends in {', '.join(IMAGES)}", plot.suffix or "no ending")
+def save_each(found: Result, outputs: Mapping[str, Path | None]) -> None:
+    """Write a result to the value of each option that was given."""
+    for option, path in outputs.items():
+        if path is not None:
+            found.save(path, FORMS.get(option))
 
 
-# A bar on the terminal while a command works; nothing where standard error is a file or a pipe.
+PATIENCE_S = 2.0
+"""Work that takes less says nothing on the way where nobody sees a bar."""
 
 
 @contextmanager
-def progress(steps: int) -> Iterator[Callable[[str], None]]:
-    """A bar of some steps; the function that it gives takes the name of the next step."""
+def progress(steps: int | None = None) -> Iterator[Callable[..., None]]:
+    """A bar on a terminal, elsewhere a line a step on standard error once the work takes long.
+
+    The function that it gives takes the name of the step that begins; of many that are alike also its number and how
+    many there are, of which a tenth are lines.
+    """
+    if not sys.stderr.isatty():
+        with _print_steps() as begin_line:
+            yield begin_line
+        return
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-    columns = (
-        BarColumn(),
-        TextColumn("{task.completed}/{task.total}"),
-        TimeElapsedColumn(),
-        TextColumn("{task.description}"),
-    )
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not sys.stderr.isatty()) as bar:
-        task = bar.add_task("", total=steps)
-        begun = 0
+    columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task, begun = bar.add_task("", total=steps), count()
 
-        def begin(step: str) -> None:
-            nonlocal begun
-            bar.update(task, completed=begun, description=step, refresh=True)
-            begun += 1
+        def begin(step: str, k: int | None = None, total: int | None = steps) -> None:
+            done = next(begun) if k is None else k
+            bar.update(task, completed=done, total=total, description=step, refresh=True)
 
         yield begin
+
+
+@contextmanager
+def _print_steps() -> Iterator[Callable[..., None]]:
+    said: list[str] = []
+
+    def say() -> None:
+        if said:
+            print(said[-1], file=sys.stderr, flush=True)
+
+    def begin(step: str, k: int = 0, total: int = 0) -> None:
+        said.append(step)
+        is_due = k == total or k % max(1, total // 10) == 0 if total else not waiting.is_alive()
+        if is_due:
+            say()
+
+    waiting = Timer(PATIENCE_S, say)
+    waiting.start()
+    try:
+        yield begin
+    finally:
+        waiting.cancel()

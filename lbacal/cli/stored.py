@@ -8,6 +8,7 @@ from typing import Any
 
 import typer
 
+from lbacal.cli.client import wait_for
 from lbacal.client import Client
 from lbacal.files import written_beside
 from lbacal.instants import format_optional
@@ -26,7 +27,7 @@ def investigate_stored(selection: Selection, reason: str | None, report: Path | 
             raise BadInputError(f"--{name}", "a value beside --stored", "nothing")
     with Client() as client:
         asked = {**body, "station": next(iter(selection.stations), None)}
-        job = client.wait_for(client.send("POST", "/v1/investigations", asked)["job"])
+        job = wait_for(client, client.send("POST", "/v1/investigations", asked)["job"])
         found = [client.get(f"/v1/investigations/{name}") for name in job["results"]]
     if report is not None and len(found) != 1:
         raise BadInputError("--report", "one station and one calendar year, which make one report", str(len(found)))

@@ -289,8 +289,9 @@ def predict_path(
     acting: Acting | None = None,
     *,
     is_own: bool = True,
+    is_calibrated: bool = True,
 ) -> Prediction:
-    """Predict the record of a calibrated path at an instant; with adopted causes use `discovery.forward.predict`.
+    """Predict the record of a path at an instant; with adopted causes use `discovery.forward.predict`.
 
     Parameters
     ----------
@@ -302,6 +303,9 @@ def predict_path(
         What adopted causes make of its chain then; None where there are none.
     is_own
         Whether the curve was fitted to the path itself, and is not that of its station or of the array.
+    is_calibrated
+        Whether it was fitted at all. A curve of `curve_alone` was not: its power is W/MHz at the converter's input,
+        whose error is that of the sky and of the sizes of adopted causes.
     """
     if curve.c is None or curve.dipole is None:
         raise BadInputError(curve.name, "a curve of one polarisation that converged", curve.status)
@@ -309,12 +313,17 @@ def predict_path(
     lst = simulation.sidereal_time(curve.station, np.array([time_unix]))
     plain = terms_of(curve, instrument, table.at(curve.dipole, lst)[0])
     acting = Acting(plain) if acting is None else acting
-    chain, of_chain = acting.terms, noise_of(curve, instrument)
+    chain, of_chain, notes = acting.terms, noise_of(curve, instrument), [*acting.notes]
     power, sky = chain.power()[at], chain.sky[at]
     total = power / chain.front[at]
     contributions = {"sky": sky, **{name: one[at] for name, one in noise_at_input(curve, instrument).items()}}
     behind = [name.removeprefix("n_") for name in of_chain.names[len(of_chain.front) :]]
     contributions |= {name: contributions[name] * (plain.front / chain.front)[at] for name in behind}
+    if not is_calibrated:
+        contributions = {"sky": sky, "known": plain.n_lna[at]}
+        is_known = np.append(simulation.noise.precision > 0, np.zeros(len(simulation.noise.behind), dtype=bool))
+        free = ", ".join(np.array(simulation.noise.names)[~is_known])
+        notes += [f"noise that only data determine is not in it: {free}"] if free else []
     rest = total - np.sum(list(contributions.values()), axis=0)
     if np.any(np.abs(rest) > SMALLEST_SHARE * total):
         contributions["causes"] = rest
@@ -323,30 +332,27 @@ def predict_path(
     by_noise = [error[at] * about for error in statistical_errors(curve)]
     own: Sequence[Floats] = [] if curve.covariance is None else [*np.nan_to_num(curve.covariance.own[:, at])]
     by_gain = [error * (about if is_own else in_front) for error in own]
-    by_sky = [-0.5 * error[at] for error in _sky_errors(curve, simulation, lst)]
+    by_sky = [-0.5 * error[at] for error in _sky_errors(curve, simulation, lst, is_fitted=is_calibrated)]
     by_size = [(one.power()[at] / power, one.front[at] / chain.front[at]) for one in acting.moved]
     # SEFD goes with C^2/G_ant, in which the antenna gain cancels
     of_gain = None if budget is None else replace(budget, terms=[one for one in budget.terms if not one.is_of_gain])
-    of_c = [error[at] for error in (*statistical_errors(curve), *systematic_errors(curve, of_gain))]
+    of_c = [2.0 * error[at] for error in (*statistical_errors(curve), *systematic_errors(curve, of_gain))]
+    of_c = of_c if is_calibrated else [2.0 * one / total for one in by_sky]
+    of_power = [*(-2.0 * one / total for one in (*by_noise, *by_gain, *by_sky)), *(np.log(p) for p, _ in by_size)]
+    of_sefd = [*of_c, *(np.log(p / s) for p, s in by_size)]
     kelvin = _per_kelvin(simulation, curve.dipole)
     return Prediction(
         name={"station": curve.station, "antenna": curve.antenna, "dipole": curve.dipole},
         lst_hours=float(lst[0]),
         frequency_mhz=curve.frequency_mhz[at],
         power=power,
-        errors=np.reshape(
-            [
-                *(-2.0 * one / total for one in (*by_noise, *by_gain, *by_sky)),
-                *(np.log(moved) for moved, _ in by_size),
-            ],
-            (-1, sky.size),
-        ),
+        errors=np.reshape(of_power, (-1, sky.size)),
         contributions=contributions,
         per_kelvin=None if kelvin is None else kelvin[at],
-        sefd_error=np.linalg.norm([*(2.0 * one for one in of_c), *(np.log(p / s) for p, s in by_size)], axis=0),
+        sefd_error=np.linalg.norm(np.reshape(of_sefd, (-1, sky.size)), axis=0),
         noise=noise or EventNoise.expected(curve.frequency_mhz[at]),
-        is_calibrated=True,
-        notes=acting.notes,
+        is_calibrated=is_calibrated,
+        notes=notes,
     )
 
 
@@ -362,48 +368,13 @@ def curve_alone(simulation: Simulation, station: str, antenna: int, dipole: str,
     )  # fmt: skip
 
 
-def predict_alone(
-    simulation: Simulation, station: str, antenna: int, dipole: str, time_unix: float, acting: Acting | None = None
-) -> Prediction:
-    """Predict the power of a path without calibration: W/MHz at the converter's input, with A(nu) = 1.
+def _sky_errors(
+    curve: CalibrationCurve, simulation: Simulation, lst_hours: Floats, *, is_fitted: bool
+) -> Iterator[Floats]:
+    """For each term of the sky dP_sky(t), or what of it is no straight line in P_sky, which a fit takes up.
 
-    Its error is that of the sky, and of the sizes of adopted causes: with these ask `discovery.forward.predict_alone`.
-    Noise that the instrument does not state is not in it.
+    Shape (freq,), in the unit of P_sky.
     """
-    instrument, noise, instants = simulation.instrument, simulation.noise, np.array([time_unix])
-    curve = curve_alone(simulation, station, antenna, dipole, time_unix)
-    lst, sky = simulation.sidereal_time(station, instants), simulation.sky_at(station, dipole, instants)[0]
-    plain = terms_of(curve, instrument, sky)
-    acting = Acting(plain) if acting is None else acting
-    chain = acting.terms
-    power, known = chain.power(), plain.n_lna
-    total = power / chain.front
-    contributions = {"sky": chain.sky, "known": known}
-    rest = total - chain.sky - known
-    if np.any(np.abs(rest) > SMALLEST_SHARE * total):
-        contributions["causes"] = rest
-    wrong = [chain.sky * read_at(term.d_ln_p[dipole], lst - term.lst_hours[0])[0] for term in simulation.changes()]
-    of_sky = [one / total for one in wrong]
-    by_size = [(np.log(one.power() / power), np.log(one.front / chain.front)) for one in acting.moved]
-    is_known = np.append(noise.precision > 0, np.zeros(len(noise.behind), dtype=bool))
-    free = ", ".join(np.array(noise.names)[~is_known])
-    return Prediction(
-        name={"station": station, "antenna": antenna, "dipole": dipole},
-        lst_hours=float(lst[0]),
-        frequency_mhz=instrument.frequency_mhz,
-        power=power,
-        errors=np.reshape([*of_sky, *(moved for moved, _ in by_size)], (-1, sky.size)),
-        contributions=contributions,
-        per_kelvin=_per_kelvin(simulation, dipole),
-        sefd_error=np.linalg.norm(np.reshape([*of_sky, *(p - s for p, s in by_size)], (-1, sky.size)), axis=0),
-        noise=EventNoise.expected(instrument.frequency_mhz),
-        is_calibrated=False,
-        notes=[*acting.notes, *([f"noise that only data determine is not in it: {free}"] if free else [])],
-    )
-
-
-def _sky_errors(curve: CalibrationCurve, simulation: Simulation, lst_hours: Floats) -> Iterator[Floats]:
-    """For each term of the sky what of dP_sky(t) is no straight line in P_sky, shape (freq,), in the unit of P_sky."""
     dipole, table = str(curve.dipole), simulation.sky_power.of_station(curve.station)
 
     def list_errors() -> list[tuple[Floats, float]]:
@@ -412,10 +383,11 @@ def _sky_errors(curve: CalibrationCurve, simulation: Simulation, lst_hours: Floa
             sky = table.at(dipole, term.lst_hours)
             wrong, about = sky * term.d_ln_p[dipole], sky - sky.mean(axis=0)
             line = np.sum(about * wrong, axis=0) / np.maximum(np.sum(about**2, axis=0), np.finfo(float).tiny)
-            found.append((wrong - wrong.mean(axis=0) - line * about, float(term.lst_hours[0])))
+            taken = wrong.mean(axis=0) + line * about if is_fitted else 0.0
+            found.append((wrong - taken, float(term.lst_hours[0])))
         return found
 
-    for error, first in simulation.made.get(("sky errors", curve.station, dipole), list_errors):
+    for error, first in simulation.made.get(("sky errors", curve.station, dipole, is_fitted), list_errors):
         yield read_at(error, lst_hours - first)[0]
 
 

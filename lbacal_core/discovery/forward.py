@@ -11,7 +11,6 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from lbacal_core.calibration import prediction
 from lbacal_core.calibration.prediction import Acting, EventNoise, Prediction, curve_alone, predict_path
 from lbacal_core.calibration.singles import MIN_EVENTS
 from lbacal_core.causes.cause import TEMPERATURE, Template
@@ -46,8 +45,9 @@ def predict(
     temperature_c: float | None = None,
     *,
     is_own: bool = True,
+    is_calibrated: bool = True,
 ) -> Prediction:
-    """What a calibrated path should record at an instant, with what the causes of the simulation do to it then.
+    """What a path should record at an instant, with what the causes of the simulation do to it then.
 
     Parameters
     ----------
@@ -56,11 +56,12 @@ def predict(
     temperature_c
         Outside temperature, deg C, which causes with a delay take as it is; `REFERENCE_C`, to which C belongs, where
         none is given. Rain and other columns are not known: what follows them does nothing.
-    noise, budget, is_own
+    noise, budget, is_own, is_calibrated
         As in `predict_path`.
     """
     acting = None if curve.c is None else _act_at(curve, simulation, time_unix, temperature_c)
-    return predict_path(curve, simulation, time_unix, noise, budget, acting, is_own=is_own)
+    of_curve = {"is_own": is_own, "is_calibrated": is_calibrated}
+    return predict_path(curve, simulation, time_unix, noise, budget, acting, **of_curve)
 
 
 def predict_alone(
@@ -71,10 +72,9 @@ def predict_alone(
     time_unix: float,
     temperature_c: float | None = None,
 ) -> Prediction:
-    """What the simulation with its causes says of a path that nobody has calibrated; see `prediction.predict_alone`."""
+    """What the simulation with its causes says of a path that nobody has calibrated."""
     curve = curve_alone(simulation, station, antenna, dipole, time_unix)
-    acting = _act_at(curve, simulation, time_unix, temperature_c)
-    return prediction.predict_alone(simulation, station, antenna, dipole, time_unix, acting)
+    return predict(curve, simulation, time_unix, temperature_c=temperature_c, is_calibrated=False)
 
 
 def divide_out(spectra: Spectra, curves: Sequence[CalibrationCurve], simulation: Simulation) -> Spectra:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.errors import BadInputError, UnknownNameError, near_name
+from lbacal_core.errors import BadInputError, UnknownNameError, offer_name, require_name
 from lbacal_core.foreign import parse_name, parse_number, parse_numbers, parse_optional_name, read_json
 from lbacal_core.grids import Floats, require_channels
 from lbacal_core.instrument.antennas import (
@@ -109,10 +109,7 @@ class Instrument:
         for cable, loss in self.cables.items():
             self._require_gain(f"cables.{cable}", loss, 1.0)
         for row, record in enumerate(self.antennas):
-            if record.cable not in self.cables:
-                raise BadInputError(
-                    f"{place}: antennas, row {row}: cable", f"one of {', '.join(self.cables)}", repr(record.cable)
-                )
+            require_name(f"{place}: antennas, row {row}: cable", record.cable, self.cables)
             if record.since is not None and record.until is not None and record.since >= record.until:
                 raise BadInputError(f"{place}: antennas, row {row}: until", "a date after since", "one that is not")
         require_one_at_a_time(self.antennas, place)
@@ -170,10 +167,8 @@ class Instrument:
         unknown = [str(letter) for letter in np.unique(letters) if str(letter) not in self.dipole_azimuth_deg]
         if unknown:
             row = int(np.flatnonzero(letters == unknown[0])[0])
-            near = near_name(unknown[0], self.dipoles)
             expected = f"a dipole of instrument {self.name} ({', '.join(self.dipoles)})"
-            found = f"{unknown[0]!r}{f' (is {near} meant?)' if near else ''}"
-            raise BadInputError(f"{origin}: dipole, row {row}", expected, found)
+            raise BadInputError(f"{origin}: dipole, row {row}", expected, offer_name(unknown[0], self.dipoles))
         for letter, azimuth in arms_deg.items():
             here = self.dipole_azimuth_deg.get(letter, azimuth)
             # an arm has two ends
@@ -232,9 +227,8 @@ class Instrument:
         if not records:
             stations = sorted({r.station for r in self.antennas})
             own = sorted({r.antenna for r in self.antennas if r.station == station})
-            near = near_name(station, stations)
             there = f"antennas {own[0]} to {own[-1]} of it" if own else f"stations {', '.join(stations)}"
-            found = place if own or near is None else f"{place} (is {near} meant?)"
+            found = place if own else f"station {offer_name(station, stations)}, antenna {antenna}"
             raise BadInputError(place, f"an antenna of instrument {self.name} ({there})", found)
         for instant in (first_unix, last_unix):
             if not any(record.covers(instant) for record in records):

@@ -29,6 +29,8 @@ T_0 = 290.0
 
 def length_gain(length_m: Floats, antenna: Impedance) -> Floats:
     """G_ant of an antenna by its effective length for a field along its arm, as available power, m^2, shape (freq,)."""
+    if not np.all(length_m > 0):
+        raise BadInputError("antenna: length", "an effective length above 0, in m", f"{np.min(length_m):g}")
     return np.asarray(length_m**2 * RESISTANCE_OHM / (4.0 * antenna.real))
 
 
@@ -45,6 +47,9 @@ def match_power(antenna: Impedance, load: Impedance) -> Floats:
 
 def match_noise(antenna: Impedance, t_min_k: float, r_n_ohm: float, optimum: Impedance) -> Floats:
     """Noise temperature of an amplifier beside the antenna's own, in front of the mismatch, K, shape (freq,)."""
+    for name, value in (("least noise temperature, K", t_min_k), ("R_n, ohm", r_n_ohm)):
+        if not value >= 0:
+            raise BadInputError(f"amplifier: {name}", "0 or more", f"{value:g}")
     distance = np.abs(1.0 / antenna - 1.0 / optimum) ** 2
     return np.asarray(t_min_k + T_0 * r_n_ohm * distance / (1.0 / antenna).real)
 

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from lbacal_core.errors import BadInputError, near_name
+from lbacal_core.errors import BadInputError, require_name
 from lbacal_core.foreign import parse_name, parse_number, parse_numbers
 from lbacal_core.grids import Floats, interpolate
 from lbacal_core.instrument.matching import Impedance, match_power, read_impedance, require_passive
@@ -72,10 +72,7 @@ class Stage:
 
     def require_whole(self, place: str) -> None:
         """Refuse a stage of an unknown kind, without the gain that its kind has, or with an error of nothing."""
-        if self.kind not in KINDS:
-            near = near_name(str(self.kind), KINDS)
-            found = f"{self.kind!r}{f' (is {near} meant?)' if near else ''}"
-            raise BadInputError(f"{place}: kind", f"one of {', '.join(KINDS)}", found)
+        require_name(f"{place}: kind", self.kind, KINDS)
         for values, field in ((self.gain, "gain"), (self.noise_k, "noise temperature")):
             if values is not None:
                 _require_positive(values, f"{place}: {field}")

@@ -20,6 +20,7 @@ from lbacal_core.errors import BadInputError, UnreadableFileError
 from lbacal_core.grids import Floats
 from lbacal_core.hdf5 import HDF5_FAILURES
 from lbacal_core.readers.source import Integrations, Source
+from lbacal_core.readers.tables import parse_time
 
 SUB_BANDS = 512
 LBA_CLOCK_HZ = 200e6
@@ -127,7 +128,7 @@ def _read(
             for k, name in enumerate(some):
                 try:
                     dataset = file[name]
-                    begin[k] = _parse_instant(_text(dataset.attrs["timestamp"]))
+                    begin[k] = parse_time(_text(dataset.attrs["timestamp"]), path)
                     length[k] = float(dataset.attrs["integration_time"])
                     power[k] = dataset[()][wanted] / np.float32(length[k])
                 except (*HDF5_FAILURES, IndexError) as error:
@@ -140,11 +141,6 @@ def _read(
 
 def _text(value: Any) -> str:
     return value.decode() if isinstance(value, bytes) else str(value)
-
-
-def _parse_instant(text: str) -> float:
-    instant = datetime.fromisoformat(text)
-    return (instant if instant.tzinfo else instant.replace(tzinfo=UTC)).timestamp()
 
 
 def find_receiver_files(folder: Path) -> list[Path]:

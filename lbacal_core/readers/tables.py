@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import groupby
@@ -114,27 +114,30 @@ def _read(path: Path, names: list[str], paths: dict[tuple[str, int, str], int], 
         if time <= latest:
             raise BadInputError(f"{path}: time", "rows in order of time", f"{text} after a later or equal one")
         latest = time
-        power = np.full((1, len(paths), len(names)), np.nan)
+        power = np.full((len(paths), len(names)), np.nan)
         for row in together:
             at = paths[_path_of(row, station, path)]
-            power[0, at] = [_number(row[name], f"{path}: {text}, {name} MHz", "a number") for name in names]
-        first = together[0]
-        length = _number(first.get("duration_s") or "1", f"{path}: {text}, duration_s", "a number of seconds > 0")
-        covariates = {name.removeprefix(COVARIATE): name for name in first if name and name.startswith(COVARIATE)}
-        yield Integrations(
-            np.array([time]),
-            np.array([length]),
-            power,
-            event_id=np.array([(first.get("event_id") or "").strip()]),
-            flag=np.array([(first.get("flag") or "").strip()]),
-            environment={
-                name: np.array([_number(first[column], f"{path}: {text}, {column}", "a number")])
-                for name, column in covariates.items()
-            },
-        )
+            power[at] = [_number(row[name], f"{path}: {text}, {name} MHz") for name in names]
+        yield _integrate(time, power, together[0], f"{path}: {text}, ")
 
 
-def _number(text: str | None, place: str, expected: str) -> float:
+def _integrate(time_unix: float, power: Floats, facts: Mapping[str, str], place: str) -> Integrations:
+    """One integration, power of shape (path, freq), with what is told of it as texts."""
+    return Integrations(
+        np.array([time_unix]),
+        np.array([_number(facts.get("duration_s") or "1", f"{place}duration_s", "a number of seconds > 0")]),
+        power[None],
+        event_id=np.array([(facts.get("event_id") or "").strip()]),
+        flag=np.array([(facts.get("flag") or "").strip()]),
+        environment={
+            name.removeprefix(COVARIATE): np.array([_number(text, f"{place}{name}")])
+            for name, text in facts.items()
+            if name and name.startswith(COVARIATE)
+        },
+    )
+
+
+def _number(text: str | None, place: str, expected: str = "a number") -> float:
     """A number; NaN for an empty cell."""
     if text is None or not text.strip():
         return float("nan")
@@ -189,20 +192,7 @@ def open_folder(files: Sequence[Path], station: str) -> Source:
 def _read_folder(files: Sequence[Path]) -> Iterator[Integrations]:
     for file in files:
         content = _read_file(file)
-        facts = content.facts
-        length = _read_number(facts.get("duration_s", "1"), file, "duration_s")
-        yield Integrations(
-            np.array([content.time_unix]),
-            np.array([length]),
-            content.power[None],
-            event_id=np.array([facts.get("event_id", "")]),
-            flag=np.array([facts.get("flag", "")]),
-            environment={
-                name.removeprefix(COVARIATE): np.array([_read_number(text, file, name)])
-                for name, text in facts.items()
-                if name.startswith(COVARIATE)
-            },
-        )
+        yield _integrate(content.time_unix, content.power, content.facts, f"{file}: ")
 
 
 @dataclass(frozen=True)
@@ -218,13 +208,6 @@ class _Content:
 
 def _read_file(path: Path) -> _Content:
     return _read_archive(path) if path.suffix == ".npz" else _read_table(path)
-
-
-def _read_number(text: str, path: Path, name: str) -> float:
-    try:
-        return float(text)
-    except ValueError as error:
-        raise BadInputError(f"{path}: {name}", "a number", repr(text[:40])) from error
 
 
 def _read_table(path: Path) -> _Content:

@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from lbacal_core.errors import BadInputError
+from lbacal_core.errors import BadInputError, require_name
 from lbacal_core.grids import Floats, require_channels
 from lbacal_core.provenance import hash_arrays
 
@@ -269,7 +269,6 @@ SOURCES = {
 
 def find_sources(names: Sequence[str]) -> list[PointSource]:
     """Find the sources of some names."""
-    unknown = [name for name in names if name not in SOURCES]
-    if unknown:
-        raise BadInputError("point source", f"one of {', '.join(sorted(SOURCES))}", repr(unknown[0]))
+    for name in names:
+        require_name("point source", name, sorted(SOURCES))
     return [SOURCES[name] for name in names]

@@ -28,15 +28,18 @@ def draw_noise(
         f_s, at least twice the highest frequency.
     """
     edge = guess_widths(frequency_mhz)[[0, -1]] / 2.0 * [-1.0, 1.0] + frequency_mhz[[0, -1]]
-    if samples < 2 or not sample_rate_mhz >= 2.0 * edge[1]:
-        raise BadInputError(
-            "sample_rate_mhz", f"two samples or more, {2.0 * edge[1]:g} MHz", f"{samples}, {sample_rate_mhz:g}"
-        )
+    if not isinstance(samples, int | np.integer) or samples < 2 or not sample_rate_mhz >= 2.0 * edge[1]:
+        expected = f"two samples or more, at least {2.0 * edge[1]:g} MHz"
+        raise BadInputError("samples, sample_rate_mhz", expected, f"{samples}, {sample_rate_mhz:g}")
     bins = np.fft.rfftfreq(samples, 1.0 / sample_rate_mhz)
+    inside = (bins >= edge[0]) & (bins <= edge[1])
+    if not inside.any():
+        expected = f"so many samples that a bin lies between {edge[0]:g} and {edge[1]:g} MHz"
+        raise BadInputError("samples, sample_rate_mhz", expected, f"{samples}, {sample_rate_mhz:g}")
     at = np.clip(np.searchsorted(frequency_mhz, bins) - 1, 0, frequency_mhz.size - 2)
     share = np.clip((bins - frequency_mhz[at]) / np.diff(frequency_mhz)[at], 0.0, 1.0)
     level = np.log(power)
-    density = np.exp(level[:, at] * (1.0 - share) + level[:, at + 1] * share) * ((bins >= edge[0]) & (bins <= edge[1]))
+    density = np.exp(level[:, at] * (1.0 - share) + level[:, at + 1] * share) * inside
     normal = rng.standard_normal((2, *density.shape))
     amplitude = (normal[0] + 1j * normal[1]) * np.sqrt(samples * sample_rate_mhz * RESISTANCE_OHM / 4.0 * density)
     return np.asarray(np.fft.irfft(amplitude, samples, axis=1))

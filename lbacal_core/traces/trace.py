@@ -15,7 +15,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.errors import BadInputError, UnreadableFileError
+from lbacal_core.errors import BadInputError, UnreadableFileError, require_name
 from lbacal_core.hdf5 import HDF5_FAILURES, is_in_file
 
 BLOCK_SAMPLES = 1024
@@ -78,8 +78,8 @@ def name_dipole(rcu: int, antenna_set: str) -> str:
 
 def require_antenna_set(name: str | None) -> None:
     """Refuse the name of an antenna set whose letters are not known: the receivers' own would hold in silence."""
-    if name is not None and name not in ANTENNA_SETS:
-        raise BadInputError("antenna set", f"one of {', '.join(ANTENNA_SETS)}", repr(name))
+    if name is not None:
+        require_name("antenna set", name, ANTENNA_SETS)
 
 
 @dataclass(frozen=True)

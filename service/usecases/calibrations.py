@@ -12,7 +12,7 @@ from lbacal_core.calibration.slow_changes import follow_slow_changes
 from lbacal_core.calibration.spreads import ToldCurve, tell_reference
 from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.curves.validity import Instant, Promotion, Scope
-from lbacal_core.errors import BadInputError, name_path
+from lbacal_core.errors import BadInputError, name_path, require_name
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import Remembered
 from service.errors import NotInEffectError
@@ -126,12 +126,11 @@ def select_paths(instrument: Instrument, station: str | None, antenna: int | Non
     """The paths of an instrument that a query means."""
     if antenna is not None and station is None:
         raise BadInputError("antenna", "a station beside it", f"antenna {antenna} alone")
-    if dipole not in (None, *instrument.dipoles):
-        raise BadInputError("dipole", f"one of {', '.join(instrument.dipoles)}", repr(dipole))
+    if dipole is not None:
+        require_name("dipole", dipole, instrument.dipoles)
+    if station is not None:
+        require_name("station", station, sorted({record.station for record in instrument.antennas}))
     of_station = [record for record in instrument.antennas if station in (None, record.station)]
-    if not of_station:
-        stations = sorted({record.station for record in instrument.antennas})
-        raise BadInputError("station", f"one of {', '.join(stations)}", repr(station))
     chosen = sorted({(r.station, r.antenna) for r in of_station if antenna in (None, r.antenna)})
     if not chosen:
         raise BadInputError("antenna", f"an antenna of {station}", str(antenna))

@@ -12,7 +12,7 @@ import numpy as np
 
 from lbacal.instants import format_instant, parse_instant
 from lbacal_core.curves.validity import Instant
-from lbacal_core.errors import BadInputError, name_path
+from lbacal_core.errors import BadInputError, name_path, require_name
 from lbacal_core.grids import Floats, require_same_grid
 from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.instrument.instrument import Instrument
@@ -148,16 +148,15 @@ class Intake:
         letters = self.instrument.dipoles
         unknown = np.flatnonzero(~np.isin(spectra.dipole, letters))
         if unknown.size:
-            expected, found = f"one of {', '.join(letters)}", repr(str(spectra.dipole[unknown[0]]))
-            raise BadInputError(name_place("dipole", int(unknown[0])), expected, found)
+            k = int(unknown[0])
+            require_name(name_place("dipole", k), str(spectra.dipole[k]), letters)
         stations = sorted({station for station, _ in self._records})
         for k, (station, antenna, time) in enumerate(
             zip(spectra.station.tolist(), spectra.antenna.tolist(), spectra.time_unix.tolist(), strict=True)
         ):
             records = self._records.get((station, antenna))
             if records is None:
-                if station not in stations:
-                    raise BadInputError(name_place("station", k), f"one of {', '.join(stations)}", repr(station))
+                require_name(name_place("station", k), station, stations)
                 raise BadInputError(name_place("antenna", k), f"an antenna of {station}", str(antenna))
             if (station, antenna) not in self._always and not any(record.covers(time) for record in records):
                 expected = f"a time at which {station} antenna {antenna} is on record"

@@ -189,6 +189,7 @@ def test_what_a_cache_does_not_know_is_refused_in_a_sentence(factory: Factory, t
     client = lbacal.Client(ABSENT)
     for question, sentence in (
         ({"station": "CS009"}, "station: expected one of CS001, CS002"),
+        ({"station": "cs001"}, r"found 'cs001' \(is CS001 meant\?\)"),
         ({"station": "CS001", "antenna": 77}, "antenna: expected an antenna of CS001"),
         ({"antenna": 1}, "antenna: expected a station beside it"),
         ({"dipole": "Z"}, "dipole: expected one of X, Y"),

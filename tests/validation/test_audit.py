@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from validation.audit import KINDS, PARTS, PATHS, tell_audit, tell_fault, tell_paths, tell_unlike
+from validation.audit import KINDS, PARTS, PATHS, RECORD, tell_audit, tell_fault, tell_paths, tell_unlike
 from validation.machinery.parts import Row
 from validation.machinery.records import verdicts_of
 
@@ -81,6 +81,10 @@ def test_the_parts_of_unlike_antennas_count_by_their_size() -> None:
     rash = [*healthy[:3], healthy[3] | {"said": ["antenna 1 X oscillates"]}] * 20
     found = verdicts_of("audit", "unlike", rash)
     assert [found[key] for key in ("false_17", "false_0")] == ["refuted", "undecided"]
+    off = [tell_unlike("day", RECORD, seed) for seed in (15, 7, 11)]
+    assert [(row["kind"], row["outcome"]) for row in off] == [(k, "right") for k in ("clock", "latitude", "longitude")]
+    found = verdicts_of("audit", "unlike-record", [*off, off[0] | {"unlike": 0.0, "off": 30.0}] * 200)
+    assert [found[key] for key in ("error_17", "record_17", "error_0")] == ["shown", "shown", "refuted"]
     broken = [tell_unlike("minute", PATHS, seed) for seed in (3, 7)]
     assert [(row["kind"], row["unlike"], row["outcome"]) for row in broken] == [
         ("dead", 0.17, "right"), ("deaf", 0.17, "right"),

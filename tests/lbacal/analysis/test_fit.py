@@ -155,6 +155,30 @@ def test_what_is_saved_is_read_back_with_its_covariance(found, tmp_path, suffix)
     assert again.sigma.value == pytest.approx(found["S1", 1, "UP"].mean(55, 75).sigma.value, rel=1e-5)
 
 
+@pytest.mark.parametrize("suffix", ["ecsv", "fits", "h5", "json", "png", "html"])
+def test_a_table_of_curves_is_saved_as_it_was_read(found, tmp_path, suffix):
+    table = found.table[found.table["antenna"] == 1]
+    table.save(tmp_path / f"c.{suffix}")
+    if suffix in ("png", "html"):
+        assert (tmp_path / f"c.{suffix}").stat().st_size > 10_000
+        return
+    read = lbacal.read(tmp_path / f"c.{suffix}")
+    np.testing.assert_array_equal(read["c"], table["c"])
+    assert read.meta["provenance"] == table.meta["provenance"]
+    again, value = (one["S1", 1, "UP"].at(60).sigma.value for one in (read, table))
+    assert again == pytest.approx(value, rel=1e-5)
+    with pytest.raises(BadInputError, match=r"\.fits.*, found \.xls"):
+        table.save(tmp_path / "c.xls")
+
+
+def test_a_part_of_a_curves_channels_has_no_mean_and_says_how_to_ask(found):
+    curve = found["S1", 1, "UP"]
+    with pytest.raises(BadInputError, match=r"all 30 channels of the curve, .*, found 19 rows \(mean\(low, high\)"):
+        curve[curve["frequency_mhz"] > 60 * u.MHz].mean(60, 70)
+    with pytest.raises(BadInputError, match="expected one in MHz, or a number"):
+        curve.mean("low", 70)
+
+
 def test_an_ending_says_the_format_and_an_unknown_one_is_refused(found, tmp_path):
     for suffix, begins in (("png", b"\x89PNG"), ("html", b"<!doctype html>"), ("csv", b"station,antenna")):
         found.save(tmp_path / f"c.{suffix}")

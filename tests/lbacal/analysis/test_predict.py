@@ -8,6 +8,7 @@ import h5py
 import numpy as np
 import pytest
 from astropy import units as u
+from astropy.constants import k_B
 from matplotlib.figure import Figure
 
 import lbacal
@@ -32,9 +33,24 @@ def test_a_fit_predicts_its_paths(tmp_path: Path) -> None:
     for suffix in ("json", "h5", "ecsv", "fits", "csv", "html", "png"):
         told.save(tmp_path / f"p.{suffix}")
     assert told.table["sky_temperature"].unit == u.K
+    sensitivity = 2 * k_B / told.table["sefd"]  # of one polarisation: half of an unpolarised flux
+    np.testing.assert_allclose(told.table["a_eff_t_sys"].to_value(u.m**2 / u.K), sensitivity.si.value)
     assert isinstance(told.plot(Figure().subplots()), Figure)
     with pytest.raises(UnknownNameError, match="unknown curve 'CS002 antenna 7 X'"):
         lbacal.predict(found, at=AT, station="CS002", antenna=7, dipole="X")
+
+
+@pytest.mark.parametrize("scope", ["station", "array"])
+def test_the_curve_of_a_station_or_the_array_predicts_each_of_its_paths(scope: str) -> None:
+    spectra = lbacal.simulate("lofar-superterp", events=150, antennas=4)
+    own, mean = (lbacal.fit(spectra, "lofar-superterp", scope=one) for one in ("antenna", scope))
+    path = {"at": AT, "station": "CS002", "antenna": 2, "dipole": "Y"}
+    told, known = lbacal.predict(mean, **path), lbacal.predict(own, **path)
+    sigma = np.sqrt(np.diag(told.covariance))
+    assert np.mean(np.abs(told.power - known.power) < 2 * sigma) > 0.9
+    assert np.median(sigma / np.sqrt(np.diag(known.covariance))) > 1.5  # how far single paths depart is in it
+    with pytest.raises(BadInputError, match="antenna 700: expected an antenna of instrument lofar-superterp"):
+        lbacal.predict(mean, **{**path, "antenna": 700})
 
 
 def test_one_trace_for_all_hours_is_wrong_by_what_the_page_says(repository: Path) -> None:

@@ -71,6 +71,7 @@ def folder(tmp_path: Path) -> Path:
 def lbacal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Lbacal:
     """`lbacal` as it runs in the folder of the test: exit code, standard output and standard error."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("lbacal.cli.outputs.PATIENCE_S", 3600.0)  # a slow machine says no more than a fast one
 
     def run(*arguments: object) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["lbacal", *map(str, arguments)])

@@ -15,7 +15,9 @@ from astropy import units as u
 
 import lbacal
 from lbacal_core.errors import LbacalError
+from lbacal_core.lstcurve.curve import measured_curve
 from lbacal_core.spectra.spectra import Spectra, read_spectra, write_spectra
+from tests.lbacal.cli.conftest import make_instrument, make_sky_power, make_spectra
 
 Lbacal = Callable[..., tuple[int, str, str]]
 NU = np.arange(30.0, 81.0)
@@ -210,6 +212,40 @@ PYTHON: dict[str, tuple[Callable[[], Any], str]] = {
     "kelvin for deg C": (lambda: see(temperature=283), "temperature: expected deg C, -90 to 60, found 283"),
     "no temperature": (lambda: see(temperature=np.nan), "temperature: expected deg C, -90 to 60, found nan"),
     "half an event": (lambda: see().draw_events(1.5), "count: expected a number of events, 1 or more, found 1.5"),
+    "a seed as text": (lambda: see().draw_events(3, seed="a"), "seed: expected a whole number, 0 or more, found 'a'"),
+    "a rate in Hz": (lambda: lbacal.draw_traces([see()], 1024, 200e6), "so many samples that a bin lies between 29.5"),
+    "metres for deg C": (lambda: see(temperature=3 * u.m), "expected one in deg_C, or a number"),
+    "instrument and spectra exchanged": (
+        lambda: lbacal.predict(make_spectra(make_instrument(), make_sky_power()), **SEEN),
+        "instrument: expected a lbacal.Instrument, or the name or the file of one, found Spectra",
+    ),
+    "no instrument": (lambda: lbacal.simulate(None), "or the file of one, found None"),
+    "a number for a sky power": (
+        lambda: lbacal.budget(make_spectra(make_instrument(), make_sky_power()), "lofar-superterp", 3),
+        "sky_power: expected a P_sky, or the name of its file, found 3",
+    ),
+    "a fit for what extends it": (
+        lambda: lbacal.predict("lofar-superterp", with_=see(), **SEEN), "such as 'R.json#0', found Prediction",
+    ),
+    "spectra for an LST curve": (
+        lambda: lbacal.lst_curve(make_spectra(make_instrument(), make_sky_power())), "curve: expected the name of a",
+    ),
+    "a band of one number": (lambda: lbacal.lst_curve(measured_curve(), band=30), "band: expected two numbers"),
+    "nothing to audit": (lambda: lbacal.audit(None, "lofar-superterp"), "data: expected the name of a file, found"),
+    "a name of a figure for axes": (lambda: see().plot("x.png"), "expected axes of matplotlib (save(path) writes"),
+    "a folder to save in": (lambda: see().save(Path(__file__).parent), "expected a file to write, found a folder"),
+    "no antennas": (
+        lambda: lbacal.Instrument(
+            "mine", SITE, lbacal.Antenna("short-dipole", {"X": 45.0}), lbacal.Chain(), NU, antennas=0),
+        "antennas: expected how many there are, 1 or more, or their numbers, found 0",
+    ),
+    "three angles of an arm": (lambda: make(arms={"X": (1, 2, 3)}), "an azimuth, or (azimuth, tilt)"),
+    "a stage that is not in a list": (lambda: make(lbacal.Stage("lna", 20 * u.dB)), "a list of stages, such as"),
+    "a length below 0": (lambda: lbacal.effective_length(-1.0, 75.0)(NU), "an effective length above 0, in m"),
+    "a noise temperature below 0": (
+        lambda: lbacal.lna_noise(75.0, -3.0, 8.0, 90.0)(NU), "amplifier: least noise temperature, K: expected 0 or"),
+    "a fit for its curve": (
+        lambda: lbacal.calibrate_trace(np.ones(1024), 200.0, see()), 'one curve of a fit such as found["CS002", 17'),
     "one prediction for a list": (lambda: lbacal.draw_together(see(), 10), "predictions: expected a list of them"),
 }  # fmt: skip
 
@@ -225,4 +261,4 @@ def test_a_mistake_in_python_is_one_sentence_in_its_words(mistake: str) -> None:
 
 
 def test_there_are_more_than_sixty() -> None:
-    assert len(COMMANDS) + len(FILES) + len(SPECTRA) + len(RAW) + len(PYTHON) >= 80
+    assert len(COMMANDS) + len(FILES) + len(SPECTRA) + len(RAW) + len(PYTHON) >= 99

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lbacal.cli.outputs import require_image, require_outputs
+from lbacal.cli.outputs import require_outputs
 from lbacal.selection import Selection, find_spectra_files, parse_selection, read_selected
 from lbacal_core.errors import BadInputError
 from lbacal_core.spectra.spectra import Spectra, write_spectra
@@ -66,11 +66,11 @@ def test_every_command_refuses_an_output_before_it_looks_at_its_input(lbacal: Lb
 
 
 def test_a_figure_has_a_form_that_can_be_drawn() -> None:
-    for path in (Path("C.PNG"), Path("a/C.pdf"), None):
-        require_image(path)
+    for path in (Path("C.PNG"), Path("C.pdf"), None):
+        require_outputs({"--plot": path}, {})
     for name in ("C", "C.jpeg", "C.png.txt"):
         with pytest.raises(BadInputError, match=r"ends in \.png, \.pdf, \.svg"):
-            require_image(Path(name))
+            require_outputs({"--plot": Path(name)}, {})
 
 
 PROGRAM = """
@@ -82,9 +82,30 @@ print("done")
 """
 
 
+LONG = """
+import time
+from lbacal.cli import outputs
+outputs.PATIENCE_S = 0.1
+with outputs.progress() as tell:
+    tell("read a.h5")
+    tell("fit 10 spectra")
+    time.sleep(0.5)
+    tell("draw")
+with outputs.progress() as tell:
+    for k in range(1, 31):
+        tell(f"{k} of 30 events", k, 30)
+"""
+
+
 def test_a_pipe_sees_no_bar(repository: Path) -> None:
     done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=True, cwd=repository)
     assert (done.stdout, done.stderr) == ("done\n", "")
+
+
+def test_a_pipe_sees_the_steps_of_long_work_and_every_tenth_event(repository: Path) -> None:
+    done = subprocess.run([sys.executable, "-c", LONG], capture_output=True, text=True, check=True, cwd=repository)
+    events = [f"{k} of 30 events" for k in range(3, 31, 3)]
+    assert done.stderr.splitlines() == ["fit 10 spectra", "draw", *events]
 
 
 def test_a_terminal_sees_the_steps_and_the_output_stays_clean(repository: Path) -> None:

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import lbacal
-from lbacal_core.calibration.prediction import EventNoise, power_per_kelvin, predict_alone, predict_path
+from lbacal_core.calibration.prediction import EventNoise, power_per_kelvin, predict_path
+from lbacal_core.discovery.forward import predict_alone
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.simulation.simulation import Simulation

@@ -223,7 +223,7 @@ def test_an_antenna_or_a_date_without_a_record_is_named():
     # Data of station HERA and an instrument whose antennas stand at S1: "no such antenna" did not help.
     with pytest.raises(BadInputError, match=r"\(antennas 0 to \d+ of it\), found station CS002, antenna 999"):
         instrument.cable_of("CS002", 999, 1.4e9)
-    with pytest.raises(BadInputError, match=r"\(stations CS002\), found station HERA"):
+    with pytest.raises(BadInputError, match=r"\(stations CS002\), found station 'HERA', antenna 36"):
         instrument.cable_of("HERA", 36, 1.4e9)
     with pytest.raises(BadInputError, match=r"CS002, antenna 0: expected a cable on record .* at 2014-01-01, found"):
         instrument.cable_of("CS002", 0, unix("2014-01-01"))
