@@ -17,7 +17,7 @@ from lbacal.analysis.result import Result
 from lbacal.chain import convert_number
 from lbacal.pages.chart import Chart
 from lbacal.pages.curve import draw_change, draw_curve, draw_curve_page, draw_ranking
-from lbacal.pages.finding import draw_finding, draw_scores
+from lbacal.pages.finding import draw_finding, draw_scores, tell_rivals
 from lbacal.pages.investigation import draw_page
 from lbacal.pages.report import list_origin
 from lbacal.settings import judge
@@ -238,6 +238,8 @@ def _tell_finding(finding: Mapping[str, Any]) -> Iterator[str]:
     yield f"  {finding['significance_sigma']:.1f} sigma: {finding['sentence']}"
     if finding["indistinguishable"]:
         yield f"    these data cannot tell it from {', '.join(finding['indistinguishable'])}"
+    if rivals := tell_rivals(finding):
+        yield f"    rivals, with their odds to it: {rivals}"
 
 
 def _size(finding: Mapping[str, Any]) -> str:

@@ -63,6 +63,8 @@ def tell_finding(finding: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         told = f"ln L {gain['held_out_log_likelihood_gain']:+.1f} on {gain['held_out_events']} events, in four folds"
         yield "gain on unseen events", told
     yield "these data cannot tell it from", ", ".join(_tell_similar(finding)) or "nothing else in the catalogue"
+    if rivals := tell_rivals(finding):
+        yield "rivals, with their odds to it", rivals
     change = finding["calibration_change"]
     middle, most = (PERCENT * change[name] for name in ("median_fraction", "max_fraction"))
     words = "against a fit of the window without it"
@@ -78,14 +80,19 @@ def tell_finding(finding: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 def _tell_similar(finding: Mapping[str, Any]) -> Iterator[str]:
     """Rivals with their likelihood beside that of the finding, or with the correlation of their signatures."""
-    rivals = {one["cause"]: one["odds"] for one in finding["evidence"].get("rivals", ())}
-    rivals |= {one["cause"]: one["weight"] for one in finding.get("left_open", ())[1:]}
+    rivals = {one["cause"]: one["weight"] for one in finding.get("left_open", ())[1:]}
     correlations = finding["evidence"].get("correlations", {})
     for name in dict.fromkeys((*finding["indistinguishable"], *rivals)):
         if name in rivals:
             yield f"{name} ({rivals[name]:.2g} : 1 beside it)"
         else:
             yield f"{name} (r = {correlations[name]:.2f})" if name in correlations else name
+
+
+def tell_rivals(finding: Mapping[str, Any]) -> str:
+    """Name what was fitted in the place of a finding, with its odds to it; empty where nothing was."""
+    rivals = finding["evidence"].get("rivals", ())
+    return ", ".join(f"{one['cause']} ({one['target']}) {one['odds']:.1g} : 1" for one in rivals)
 
 
 def draw_station(station: Mapping[str, Any], scores: Sequence[Mapping[str, Any]] = ()) -> dict[str, Chart]:

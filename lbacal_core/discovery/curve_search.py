@@ -25,7 +25,7 @@ from lbacal_core.discovery.curve_fit import (
     why_not,
 )
 from lbacal_core.discovery.growth import grow
-from lbacal_core.discovery.hypothesis import p_of, sigma_of
+from lbacal_core.discovery.hypothesis import Rival, p_of, sigma_of
 from lbacal_core.discovery.policy import CURVE_POLICY, Policy
 from lbacal_core.discovery.report import BY_RATIO, CONSISTENT, EXPLAINED, UNEXPLAINED, tell_finding, tell_gain
 from lbacal_core.grids import Floats
@@ -44,7 +44,7 @@ from lbacal_core.sky.differences import FULL_MAPS, model_difference_modes
 
 
 @dataclass(frozen=True)
-class Rival:
+class CurveRival:
     """The last fit with another cause in the place of one that was found.
 
     Attributes
@@ -80,7 +80,7 @@ class CurveFinding:
     choice: Choice
     place: int
     without: CurveFit
-    rivals: list[Rival]
+    rivals: list[CurveRival]
     z: float
     p_value: float
     held_out_gain: float
@@ -240,7 +240,7 @@ class _Search:
             is_excluded = (
                 min((fit.chi2 - last.chi2) / last.scale, separable * (1 - r**2)) >= self.policy.indistinguishable
             )
-            rivals.append(Rival(fit.choices[fit.labels.index(new)].cause.identifier, fit, r, is_excluded))
+            rivals.append(CurveRival(fit.choices[fit.labels.index(new)].cause.identifier, fit, r, is_excluded))
         z, p_value = self.p_value(without, last)
         gain = self.fitter.held_out_gain(without, last)
         return CurveFinding(choice, place, without, rivals, z, p_value, gain)
@@ -285,7 +285,7 @@ def describe_curve(found: CurveInvestigation, provenance: Provenance) -> dict[st
             {"cause": fit.labels[0], "chi2_gain": first.chi2 - fit.chi2, "size": float(fit.sizes[0])}
             for fit in found.single
         ],
-        "provenance": provenance.as_dict(),
+        "provenance": {**provenance.as_dict(), "judge": found.policy.judge},
     }
 
 
@@ -384,6 +384,9 @@ def _finding(found: CurveInvestigation, finding: CurveFinding) -> dict[str, Any]
             "trials": found.trials,
             "correlations": others,
             "note": BY_RATIO if cause.acts_by_ratio else "",
+            "rivals": [
+                Rival(one.cause, "curve", (one.fit.chi2 - last.chi2) / last.scale).as_dict() for one in finding.rivals
+            ],
         },
     )
     return {**told, "calibration_change": {**told["calibration_change"], **_change(found, change)}}

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import Cause, Template
 from lbacal_core.discovery.growth import grow
-from lbacal_core.discovery.hypothesis import Hypothesis, Target
+from lbacal_core.discovery.hypothesis import Hypothesis, Rival, Target
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.refit import AveragedSize, FittedModel, average_size, held_out_gain, refit, refit_over_noise
@@ -26,7 +26,14 @@ from lbacal_core.discovery.scan import (
     scan,
     score_families,
 )
-from lbacal_core.discovery.sentences import CERTAIN, SENTENCE, likeliest_sentences, refine_sentence, score_gated
+from lbacal_core.discovery.sentences import (
+    CERTAIN,
+    SENTENCE,
+    ScoredSentence,
+    likeliest_sentences,
+    refine_sentence,
+    score_gated,
+)
 from lbacal_core.discovery.station import Station
 from lbacal_core.grids import Floats
 
@@ -42,11 +49,14 @@ class Candidate:
     gain
         Gain in chi^2, averaged over the noise that the fit leaves open, less the gain that the best of so many scores
         has by chance.
+    rivals
+        What else was fitted in its place, and the likeliest sentence by its score.
     """
 
     score: Score
     model: FittedModel
     gain: float
+    rivals: Sequence[Rival] = ()
 
 
 @dataclass(frozen=True)
@@ -123,30 +133,32 @@ class StationSearch:
         self.first_scores = self.first_scores or scores
         significant = [score for score in scores if score.p_value < self.alpha]
         self.has_significant |= bool(significant)
-        said = self._say(before, significant) if self.policy.judge == "compete" else None
+        sentence = self._score_sentences(before, significant) if self.policy.judge == "compete" else None
+        said = None if sentence is None else self._say(before, sentence, significant)
         named = self._name(before, significant, scores)
         if said is None or (named and said.gain < named[0].gain + 2.0 * self.policy.likelier):
-            return named
+            return _compare(named, sentence)
         self.again, self.impossible = None, None
-        return [said, *named]
+        return _compare([said, *named])
 
-    def _say(self, before: FittedModel, significant: Sequence[Score]) -> Candidate | None:
-        """The model with a sentence, where it is likelier than every cause: for the station, or where the best acts."""
-        policy, linear, whole = self.policy, before.linear, self.targets[-1]
+    def _score_sentences(self, before: FittedModel, significant: Sequence[Score]) -> ScoredSentence:
+        """The likeliest sentence, for the station or where the best cause acts, by its score."""
+        linear, whole = before.linear, self.targets[-1]
         best = max(significant, key=_gain_beyond_chance, default=None)
-        asked = 2.0 * max(CERTAIN, -float(np.log(self.alpha)))
-        if best is not None:
-            asked = max(asked, _gain_beyond_chance(best) + 2.0 * policy.likelier)
         targets = [whole] if best is None or best.target.scope == STATION else [whole, best.target]
-        choices = {target.label: 1 if target.scope == STATION else len(self.targets) for target in targets}
-        likely = [one for target in targets for one in likeliest_sentences(linear, target, choices[target.label])]
+        likely = [one for target in targets for one in likeliest_sentences(linear, target, self._choices(target))]
         if best is not None:
-            likely = [refine_sentence(linear, one, policy) for one in likely]
-        one = max(likely, key=lambda one: one.gain)
-        if one.gain < asked:
+            likely = [refine_sentence(linear, one, self.policy) for one in likely]
+        return max(likely, key=lambda one: one.gain)
+
+    def _say(self, before: FittedModel, one: ScoredSentence, significant: Sequence[Score]) -> Candidate | None:
+        """The model with a sentence, where that is likelier than every cause."""
+        linear, least = before.linear, 2.0 * max(CERTAIN, -float(np.log(self.alpha)))
+        beside = [_gain_beyond_chance(score) + 2.0 * self.policy.likelier for score in significant]
+        if one.gain < max([least, *beside]):
             return None
-        gated = score_gated(linear, [one.target], one, choices[one.target.label])
-        one = refine_sentence(linear, max(gated, key=lambda one: one.gain), policy)
+        gated = score_gated(linear, [one.target], one, self._choices(one.target))
+        one = refine_sentence(linear, max(gated, key=lambda one: one.gain), self.policy)
         self.progress(f"{self.name}: fitting everything again with a sentence")
         fitted = refit(before, Hypothesis(SENTENCE, one.template, one.target, one.size))
         if fitted is None or not _is_possible(fitted):
@@ -154,6 +166,10 @@ class StationSearch:
         gain, chance = gain_in_chi_squared(before, fitted) - one.length, float(np.exp(0.5 * one.length))
         events = int(before.station.is_used.sum())
         return Candidate(Score(SENTENCE, one.template, one.target, one.z, one.size, events, chance), fitted, gain)
+
+    def _choices(self, target: Target) -> int:
+        """Number of targets among which one was chosen."""
+        return 1 if target.scope == STATION else len(self.targets)
 
     def _name(self, before: FittedModel, significant: Sequence[Score], scores: Sequence[Score]) -> list[Candidate]:
         """The models with each of the best significant causes."""
@@ -178,6 +194,8 @@ class StationSearch:
 
     def _is_crowded(self, before: FittedModel) -> bool:
         """Whether causes along one axis were accepted again and again, and structure along it remains."""
+        if self.policy.judge == "compete":
+            return False
         axes = [axis for one in before.hypotheses[self.adopted :] if one.target.is_wide for axis in one.cause.axes]
         crowded = {axis for axis in axes if axes.count(axis) >= self.policy.crowd}
         return bool(crowded) and chance_along(before.linear, crowded, STATION) < self.policy.crowd_alpha
@@ -189,6 +207,22 @@ class StationSearch:
     def held_out_gain(self, before: FittedModel, candidate: Candidate) -> float:
         """Gain in log-likelihood on events that were not used, the template chosen again."""
         return gain_of(before, candidate.model.hypotheses[-1], candidate.score)
+
+
+def _compare(found: Sequence[Candidate], sentence: ScoredSentence | None = None) -> list[Candidate]:
+    """Candidates with their rivals, the likeliest first."""
+    others = [(one.score.cause.identifier, one.score.target.label, one.gain) for one in found]
+    said = [] if sentence is None else [(SENTENCE.identifier, sentence.target.label, sentence.gain)]
+    return [
+        replace(
+            one,
+            rivals=sorted(
+                (Rival(cause, target, one.gain - gain) for cause, target, gain in others[:k] + others[k + 1 :] + said),
+                key=lambda rival: rival.delta_chi2,
+            ),
+        )
+        for k, one in enumerate(found)
+    ]
 
 
 def _gain_beyond_chance(score: Score) -> float:
@@ -311,6 +345,8 @@ class Finding:
         Relative change of C of the target's paths, shape (path, freq).
     over_noise
         Its size averaged over the noise constants that the fit leaves open; None where the data tell them apart.
+    rivals
+        What was fitted in its place when it was named.
     """
 
     hypothesis: Hypothesis
@@ -322,6 +358,7 @@ class Finding:
     held_out_gain: float
     calibration_change: Floats
     over_noise: AveragedSize | None = None
+    rivals: Sequence[Rival] = ()
 
     @property
     def size(self) -> tuple[float, float]:
@@ -355,17 +392,17 @@ def grow_findings(first: FittedModel, search: StationSearch) -> Grown:
     """
     steps = grow(first, search, search.policy.most_findings)
     models = [first, *(step.candidate.model for step in steps)]
-    scores = [step.candidate.score for step in steps]
+    named = [step.candidate for step in steps]
     while True:
-        without = [_models_without(models, number, search.adopted) for number in range(len(scores))]
+        without = [_models_without(models, number, search.adopted) for number in range(len(named))]
         findings = [
-            _finding(without[number][-1], models[-1], search.adopted + number, score, search)
-            for number, score in enumerate(scores)
+            _finding(without[number][-1], models[-1], search.adopted + number, one, search)
+            for number, one in enumerate(named)
         ]
         idle = None if search.again is not None else _idle(findings, without)
         if idle is None:
             return Grown(models[-1], [others[-1] for others in without], findings)
-        models, scores = without[idle], scores[:idle] + scores[idle + 1 :]
+        models, named = without[idle], named[:idle] + named[idle + 1 :]
 
 
 def _idle(findings: Sequence[Finding], without: Sequence[Sequence[FittedModel]]) -> int | None:
@@ -379,9 +416,9 @@ def _idle(findings: Sequence[Finding], without: Sequence[Sequence[FittedModel]])
     return number if is_fitted else None
 
 
-def _finding(without: FittedModel, last: FittedModel, number: int, score: Score, search: StationSearch) -> Finding:
+def _finding(without: FittedModel, last: FittedModel, number: int, named: Candidate, search: StationSearch) -> Finding:
     """A finding by the last fitted model and the one without it, so that all its numbers are of one model."""
-    hypothesis = last.hypotheses[number]
+    hypothesis, score = last.hypotheses[number], named.score
     chi2_before, chi2_after, dof = chi_squared_of(without, last)
     return Finding(
         hypothesis=hypothesis,
@@ -393,6 +430,7 @@ def _finding(without: FittedModel, last: FittedModel, number: int, score: Score,
         held_out_gain=gain_of(without, hypothesis, score),
         calibration_change=change_of_c(without, last, hypothesis.target),
         over_noise=average_size(last, number),
+        rivals=named.rivals,
     )
 
 

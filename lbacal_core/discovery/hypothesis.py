@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +61,24 @@ class Hypothesis:
     def uncertainty(self) -> float:
         """Standard deviation of the size, including the scatter among templates that the data leave open."""
         return float(np.hypot(self.sigma, self.template_sigma * self.size))
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A cause, or a sentence, in the place of a finding, with the chi^2 that the finding gains beyond it."""
+
+    cause: str
+    target: str
+    delta_chi2: float
+
+    @property
+    def odds(self) -> float:
+        """Odds of this rival to the finding, 1e300 at most."""
+        return float(np.exp(min(-0.5 * self.delta_chi2, np.log(1e300))))
+
+    def as_dict(self) -> dict[str, Any]:
+        """The fields of a report."""
+        return {"cause": self.cause, "target": self.target, "delta_chi2": self.delta_chi2, "odds": self.odds}
 
 
 def list_targets(station: Station) -> list[Target]:

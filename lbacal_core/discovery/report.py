@@ -88,7 +88,7 @@ def describe(reports: Sequence[StationReport], provenance: Provenance) -> dict[s
         "stations": stations,
         "noise": {report.station.name: _noise(report) for report in reports},
         "scores": {report.station.name: _scores(report) for report in reports},
-        "provenance": provenance.as_dict(),
+        "provenance": {**provenance.as_dict(), **({"judge": reports[0].policy.judge} if reports else {})},
     }
 
 
@@ -162,6 +162,7 @@ def _finding(finding: Finding, report: StationReport) -> dict[str, Any]:
             "is_converged": report.last.is_converged,
             "correlations": dict(finding.indistinguishable),
             "note": BY_RATIO if cause.acts_by_ratio else "",
+            "rivals": [rival.as_dict() for rival in finding.rivals],
             **_of_noise(finding),
             "picture": picture_finding(report, finding),
         },

@@ -134,16 +134,25 @@ def search_station(
     grown = grow_findings(first, search)
     progress(f"{station.name}: looking for structure that no cause explains")
     said = [one for one in grown.findings if one.hypothesis.cause == SENTENCE]
+    twice = None if search.again is None or search.again.number < 0 else grown.findings[search.again.number]
     if said:
         grown, structure = _name_structure(first, grown, said, search, np.random.default_rng(seed))
+    elif policy.judge == "compete":
+        structure = _find_left(grown, search, np.random.default_rng(seed))
     else:
         structure = _structure_beside(first, grown, search, np.random.default_rng(seed))
-    if structure is None and not grown.findings:
-        structure = notice(grown.last.linear, targets, policy.structure_alpha / stations)
-    last, similar = grown, list[Finding]()
-    if structure is not None:
+        if structure is None and not grown.findings:
+            structure = notice(grown.last.linear, targets, policy.structure_alpha / stations)
+    last, similar, withdrawn = grown, list[Finding](), list[Finding]()
+    if structure is not None and policy.judge == "compete":
+        withdrawn = [
+            one
+            for one in grown.findings
+            if one is twice or _lives_there(one.hypothesis, structure, first.station.conditions)
+        ]
+    elif structure is not None:
         withdrawn = _withdrawn(first.linear, grown.findings, structure, search.again, policy)
-        if not said and structure.axis is not None and structure.vectors is not None and search.has_significant:
+        if structure.axis is not None and structure.vectors is not None and search.has_significant:
             progress(f"{station.name}: looking for causes beside that structure")
             last = _grow_beside(first, structure.axis, structure.vectors, search)
             withdrawn = _withdrawn(first.linear, last.findings, structure, None, policy)
@@ -206,6 +215,20 @@ def _name_structure(
     return named, structure or find_structure(
         named.last.linear, rng, search.policy.structure_alpha / search.stations, chance
     )
+
+
+def _find_left(grown: Grown, search: StationSearch, rng: np.random.Generator) -> ResidualStructure | None:
+    """Structure that is left beside the findings: for certain where a score was significant that no cause describes.
+
+    Where a cause was significant twice, it is left beside the others: its template does not have the effect's form.
+    """
+    alpha, again = search.policy.structure_alpha / search.stations, search.again
+    score, model = (search.impossible, grown.last) if again is None else (again.score, grown.last)
+    if again is not None and again.number >= 0:
+        model = grown.others[again.number]
+    if score is None:
+        return find_structure(model.linear, rng, alpha)
+    return find_structure(model.linear, rng, alpha, score.p_value, _axes_on_station(score, model.station.conditions))
 
 
 def _grow_beside(first: FittedModel, axis: Axis, vectors: Floats, search: StationSearch) -> Grown:

@@ -124,7 +124,7 @@ def test_a_cause_that_a_sentence_explains_better_is_not_named_by_compete(spoil, 
     for judge in JUDGES:
         report, _ = investigate(spectra, known, judge=judge)
         named[judge] = [one["cause"] for one in report["findings"]]
-        assert report["provenance"]["settings"]["policy"]["judge"] == judge
+        assert report["provenance"]["judge"] == judge
     assert named["search"]
     assert named["compete"] == []
     assert report["verdict"] == "unexplained"

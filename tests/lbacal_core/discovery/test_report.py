@@ -84,6 +84,17 @@ def test_numbers_that_are_not_known_are_null(world):
     assert "from 2014-" in named["sentence"]
 
 
+def test_rivals_are_told_with_their_odds_and_the_judge_with_them(pair):
+    report, _ = pair
+    (named,) = report["findings"]
+    rivals = named["evidence"]["rivals"]
+    assert rivals
+    assert [one["odds"] for one in rivals] == sorted((one["odds"] for one in rivals), reverse=True)
+    for one in rivals:
+        assert one["odds"] == pytest.approx(np.exp(-0.5 * one["delta_chi2"]))
+    assert report["provenance"]["judge"] == "search"
+
+
 def test_the_noise_and_the_scores_of_both_stations_are_reported(pair):
     report, _ = pair
     assert set(report["noise"]) == set(report["scores"]) == {"CS002", "CS003"}

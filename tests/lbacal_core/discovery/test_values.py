@@ -11,7 +11,7 @@ from lbacal_core.causes.cause import Template
 from lbacal_core.discovery import findings, scan
 from lbacal_core.discovery.antennas import Comparison, smooth_departures
 from lbacal_core.discovery.findings import Finding, StationSearch
-from lbacal_core.discovery.hypothesis import Hypothesis, Target
+from lbacal_core.discovery.hypothesis import Hypothesis, Rival, Target
 from lbacal_core.discovery.noise import split_residuals
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
@@ -92,7 +92,9 @@ def test_a_finding_is_told_by_its_own_hypothesis(monkeypatch):
     hypotheses = [Hypothesis(None, Template({"k": k}), STATION, float(k)) for k in range(3)]
     without, last = SimpleNamespace(linear="linear"), SimpleNamespace(hypotheses=hypotheses)
     search = SimpleNamespace(policy=Policy(), catalogue=())
-    found = findings._finding(without, last, 1, None, search)
+    rivals = (Rival("gain_drift", "station", 4.0),)
+    found = findings._finding(without, last, 1, SimpleNamespace(score=None, rivals=rivals), search)
+    assert found.rivals == rivals
     assert (found.hypothesis, found.over_noise, found.held_out_gain) == (hypotheses[1], 1, 5.0)
     assert all(hypotheses[1] in a or STATION in a for _, a in asked)
 
