@@ -31,7 +31,7 @@ The rows are the main claims of each proof; what else is refuted or undecided st
 """
 TABLE = ("| claim | asked | found (interval) | n | verdict | proof |", "|" + "---|" * 6)
 PROOFS = "`./dev prove` lists the proofs. Hours of one core: "
-OPEN = "Undecided claims by part; the record of each has their sentences, limits and intervals: "
+OPEN = "Undecided, by their names in the record of each part, which has sentence, limit and interval: "
 LIMITS = """\
 - The twin that makes the data is ours. It shares no code with what is tested, but its author has read both: a fault of
   nature of which nobody thought is in no row.
@@ -122,7 +122,7 @@ def tell_change(claim: Claim, record: Record, history: Sequence[Record]) -> str:
 
 
 def _open_claims(by_proof: Mapping[str, Sequence[Record]]) -> list[str]:
-    """What is not shown: a line a part with its refuted claims, then the number of its other undecided ones."""
+    """What is not shown: a line a part with its refuted claims, then its other undecided ones by their keys."""
     refuted, undecided = [], []
     for record in (one for records in by_proof.values() for one in records):
         against = [claim for claim in record.claims if claim.verdict == REFUTED]
@@ -132,10 +132,14 @@ def _open_claims(by_proof: Mapping[str, Sequence[Record]]) -> list[str]:
         ]
         if told:
             refuted.append(f"- {record.name}: **refuted** {'; '.join(told)}.")
-        open_claims = sum(one.verdict == UNDECIDED and not _is_headline(one, record) for one in record.claims)
-        if open_claims:
-            undecided.append(f"{record.name} {open_claims}")
-    return [*refuted, "", f"{OPEN}{', '.join(undecided)}."] if undecided else refuted
+        keys = [
+            f"`{claim.key}`"
+            for claim in record.claims
+            if claim.verdict == UNDECIDED and not _is_headline(claim, record)
+        ]
+        if keys:
+            undecided.append(f"{record.name} {', '.join(keys)}")
+    return [*refuted, "", f"{OPEN}{'; '.join(undecided)}."] if undecided else refuted
 
 
 def _without_beginning(claim: Claim, before: Claim | None) -> str:

@@ -15,7 +15,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-import jupytext
+import nbformat
 from mkdocs.commands.build import build
 from mkdocs.config import load_config
 from nbclient import NotebookClient
@@ -60,7 +60,7 @@ def main(arguments: list[str]) -> None:
     chosen = parser.parse_args(arguments)
     shutil.rmtree(PAGES, ignore_errors=True)
     shutil.copytree(DOCS, PAGES, ignore=shutil.ignore_patterns("notebooks"))
-    for notebook in sorted((DOCS / "notebooks").glob("*.md")):
+    for notebook in sorted((DOCS / "notebooks").glob("*.ipynb")):
         print(f"{notebook.relative_to(HERE)}", flush=True)
         write_notebook(notebook, is_run=not chosen.without_notebooks)
     for page in sorted(PAGES.rglob("*.md")):
@@ -85,20 +85,21 @@ def keep_inside(text: str, folder: Path) -> str:
         place = (folder / target).resolve()
         if not place.is_relative_to(PAGES) or (place.is_dir() and not (place / "README.md").exists()):
             return words
-        return f"{picture}[{words}]({target.rstrip('/')}{'/README.md' if place.is_dir() else ''}{anchor})"
+        target = re.sub(r"\.ipynb$", ".md", target.rstrip("/"))
+        return f"{picture}[{words}]({target}{'/README.md' if place.is_dir() else ''}{anchor})"
 
     return LINK.sub(write, text)
 
 
 def write_notebook(notebook: Path, *, is_run: bool) -> None:
     """The page of a notebook with its outputs, and the notebook itself to be fetched."""
-    read, folder = jupytext.read(notebook), PAGES / "notebooks"
+    read, folder = nbformat.read(notebook, as_version=4), PAGES / "notebooks"
     read.cells.insert(0, new_code_cell("%matplotlib inline"))
     folder.mkdir(exist_ok=True)
     if is_run:
         os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
         NotebookClient(read, timeout=SECONDS, kernel_name="python3", resources={"metadata": {"path": folder}}).execute()
-    jupytext.write(read, folder / f"{notebook.stem}.ipynb")
+    nbformat.write(read, folder / notebook.name)
     del read.cells[0]
     body, files = MarkdownExporter().from_notebook_node(read, {"unique_key": notebook.stem})
     for name, picture in files["outputs"].items():
