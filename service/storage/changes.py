@@ -99,15 +99,14 @@ class Change:
     def is_same(self, other: Change) -> bool:
         """Whether two are one: of a kind, with an antenna in common, and dates that agree within their errors.
 
-        What goes on changing is one where paths and size are; a ramp whenever it was first seen.
+        What goes on changing is one where paths and size are, too.
         """
         if (self.station, self.kind) != (other.station, other.kind):
             return False
         if self.kind != STEP and (self.paths != other.paths or not self._has_size_of(other)):
             return False
         has_common = bool(set(self.antennas) & set(other.antennas)) or not (self.paths or other.paths)
-        is_dated = self.kind == RAMP or is_same_date((self.date, self.sigma), (other.date, other.sigma))
-        return has_common and is_dated
+        return has_common and is_same_date((self.date, self.sigma), (other.date, other.sigma))
 
     def _has_size_of(self, other: Change) -> bool:
         reach = SAME_DATE * math.hypot(self.size_sigma or 0.0, other.size_sigma or 0.0)

@@ -109,7 +109,8 @@ def assemble_history(years: Sequence[Sums], changes: Mapping[tuple[str, int], Se
 def settle_changes(stores: Stores, report: Mapping[str, Any], now: Instant) -> None:
     """Note what drift found, and end what it no longer finds.
 
-    A change does not end because an adopted cause takes it up: the cause may be withdrawn.
+    A step does not end because an adopted cause takes it up: the cause may be withdrawn. A slow change does: C would
+    follow it twice.
     """
     found = [
         (change, max(float(member["significance"]) for member in one["members"]), bool(one["is_known"]))
@@ -120,7 +121,8 @@ def settle_changes(stores: Stores, report: Mapping[str, Any], now: Instant) -> N
         found += [(*of, False) for of in read_slow(one, report["first_unix"])]
     for kept in stores.changes.kept():
         change = kept.change
-        is_sought = stores.models.during(change.station, change.date, change.date + 1).is_plain
+        is_slow = change.kind in (RAMP, SEASON)
+        is_sought = is_slow or stores.models.during(change.station, change.date, change.date + 1).is_plain
         if is_sought and not any(change.is_same(one) for one, *_ in found):
             for source in (BY_DRIFT, RECORD):
                 stores.changes.end(kept.number, source, now)

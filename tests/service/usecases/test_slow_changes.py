@@ -17,6 +17,8 @@ from lbacal_twin.campaign import Campaign, simulate_campaign
 from lbacal_twin.faults.fault import Where
 from lbacal_twin.settings import START_2014, TwinSettings
 from service.factory import Factory
+from service.storage.models import Investigation
+from service.usecases.changes import propose
 from tests.service.conftest import night, served
 from validation.moving import Moved
 
@@ -132,3 +134,13 @@ def test_c_follows_what_a_person_enters(make_service: Callable[..., Factory], ca
 
 def path_of(one: dict[str, Any]) -> tuple[int, str]:
     return one["antenna"], one["dipole"]
+
+
+def test_the_drift_that_an_investigation_finds_is_proposed_as_a_ramp(instrument: Instrument) -> None:
+    """It was no cause that could be adopted, and no change either."""
+    where, size = {"antennas": [1], "dipoles": ["X"]}, {"value": 0.05, "sigma": 0.01}
+    finding = {"cause": "gain_drift", "parameters": {}, "where": where, "size": size, "significance_sigma": 8.0}
+    made = Investigation("id", "CS001", 0, 1, {}, {"findings": [finding]}, 1, "", "")
+    ((change, evidence),) = propose(made, instrument)
+    assert (change.kind, change.paths, change.date, evidence.source) == ("ramp", ((1, "X"),), 0, "investigation")
+    assert change.size == pytest.approx(1.05**-0.5 - 1.0), "C^2 is proportional to 1 / gain"
