@@ -160,8 +160,8 @@ def read_slow(told: Mapping[str, Any], first_unix: float) -> Iterator[tuple[Chan
     if told["is_found"]:
         ramp = Change(*of, RAMP, first, 0, math.expm1(told["slope"]), told["sigma"], **_plain_shape(told["shape"]))
         yield ramp, told["significance"]
-    if told["season_is_found"]:
-        size, sigma = told["season"], told["season_sigma"]
+    size, sigma = told["season"], told["season_sigma"]
+    if told["season_is_found"] and size > PLAIN * sigma:  # one of the tilt alone has no date
         largest = first + (round(told["season_phase"] * YEAR_US) - first) % YEAR_US
         late = round(sigma / size * YEAR_US / (2 * math.pi))
         season = Change(*of, SEASON, largest, late, math.expm1(size), sigma, **_plain_shape(told["season_shape"]))
