@@ -25,7 +25,7 @@ def tell_life(found: Mapping[str, Any]) -> list[tuple[str, str]]:
     told: dict[str, Callable[[Any], tuple[str | None, str]]] = {
         "in_effect": lambda one: (
             one["from"],
-            f"version {one['calibration'][:12]} answers until {one['to'] or 'open'}" + _tell_factor(one["factor"]),
+            f"version {one['calibration'][:12]} answers until {one['to'] or 'open'}" + _tell_factor(one.get("factor")),
         ),
         "changes": lambda one: (one["at"]["value"], f"change {one['id']}, {one['decision'].replace('_', ' ')}"),
         "causes": lambda one: (one["at"], f"{one['act']}: {one['changed']}"),

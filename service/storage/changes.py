@@ -16,7 +16,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Select, func, select, update
+from sqlalchemy import Select, func, or_, select, true, update
 
 from lbacal.instants import DAY_US, SECOND_US, format_instant
 from lbacal_core.calibration.slow_changes import SlowChange, spread_over_band
@@ -99,15 +99,14 @@ class Change:
     def is_same(self, other: Change) -> bool:
         """Whether two are one: of a kind, with an antenna in common, and dates that agree within their errors.
 
-        What goes on changing is one where paths and size are; a ramp whenever it was first seen.
+        What goes on changing is one where paths and size are, too.
         """
         if (self.station, self.kind) != (other.station, other.kind):
             return False
         if self.kind != STEP and (self.paths != other.paths or not self._has_size_of(other)):
             return False
         has_common = bool(set(self.antennas) & set(other.antennas)) or not (self.paths or other.paths)
-        is_dated = self.kind == RAMP or is_same_date((self.date, self.sigma), (other.date, other.sigma))
-        return has_common and is_dated
+        return has_common and is_same_date((self.date, self.sigma), (other.date, other.sigma))
 
     def _has_size_of(self, other: Change) -> bool:
         reach = SAME_DATE * math.hypot(self.size_sigma or 0.0, other.size_sigma or 0.0)
@@ -265,8 +264,9 @@ class ChangeStore(Store):
     """Changes that are and were on record."""
 
     def kept(self, station: str | None = None, as_of: Instant | None = None) -> list[KeptChange]:
-        """All of them, of all stations or of one, in order of station and date; as they were known at an instant."""
-        statement = select(change).where(*equal(change, station=station))
+        """Changes of all stations, or of one and of the array, in order of station and date; as known at an instant."""
+        is_near = true() if station is None else or_(change.c.station == station, change.c.station.is_(None))
+        statement = select(change).where(is_near)
         return self._read(statement.order_by(change.c.station, change.c.date_us, change.c.id), as_of)
 
     def get(self, number: int) -> KeptChange:

@@ -176,7 +176,9 @@ class Calibrations:
         self, at: Instant, paths: Sequence[Scope], as_of: Instant | None = None, *, hold: bool = False
     ) -> InEffect:
         """Curves in effect for paths at an instant; an error naming the neighbours if there is none for any of them."""
-        asked, kept = self.database.ask(lambda s: (s.ledger.answers(paths, at, as_of), s.changes.kept(as_of=as_of)))
+        stations = {path.station for path in paths}
+        near = next(iter(stations)) if len(stations) == 1 else None
+        asked, kept = self.database.ask(lambda s: (s.ledger.answers(paths, at, as_of), s.changes.kept(near, as_of)))
         of_antenna = group_by_antenna(kept)
         answers = _pick_decisive(asked)
         held: Mapping[Scope, Promotion] = {}

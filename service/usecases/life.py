@@ -65,8 +65,7 @@ class Lives:
         """The life of a path, of a station, or of the array."""
         select_paths(self.instrument, station, antenna, dipole)
         scope = Scope(station, antenna, dipole)
-        near = [one for one in self.changes.list_all() if station is None or one.change.station in (None, station)]
-        changes = [one for one in near if concerns(one, antenna, dipole)]
+        changes = [one for one in self.changes.list_all(station) if concerns(one, antenna, dipole)]
         alarms = self.alarms.newest(AlarmsAsked(STATES, MOST, station=station))
         with self.database.read() as stores:
             stretches = [

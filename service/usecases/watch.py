@@ -109,7 +109,8 @@ def assemble_history(years: Sequence[Sums], changes: Mapping[tuple[str, int], Se
 def settle_changes(stores: Stores, report: Mapping[str, Any], now: Instant) -> None:
     """Note what drift found, and end what it no longer finds.
 
-    A change does not end because an adopted cause takes it up: the cause may be withdrawn.
+    A step does not end because an adopted cause takes it up: the cause may be withdrawn. A slow change does: C would
+    follow it twice.
     """
     found = [
         (change, max(float(member["significance"]) for member in one["members"]), bool(one["is_known"]))
@@ -120,7 +121,8 @@ def settle_changes(stores: Stores, report: Mapping[str, Any], now: Instant) -> N
         found += [(*of, False) for of in read_slow(one, report["first_unix"])]
     for kept in stores.changes.kept():
         change = kept.change
-        is_sought = stores.models.during(change.station, change.date, change.date + 1).is_plain
+        is_slow = change.kind in (RAMP, SEASON)
+        is_sought = is_slow or stores.models.during(change.station, change.date, change.date + 1).is_plain
         if is_sought and not any(change.is_same(one) for one, *_ in found):
             for source in (BY_DRIFT, RECORD):
                 stores.changes.end(kept.number, source, now)
@@ -158,8 +160,8 @@ def read_slow(told: Mapping[str, Any], first_unix: float) -> Iterator[tuple[Chan
     if told["is_found"]:
         ramp = Change(*of, RAMP, first, 0, math.expm1(told["slope"]), told["sigma"], **_plain_shape(told["shape"]))
         yield ramp, told["significance"]
-    if told["season_is_found"]:
-        size, sigma = told["season"], told["season_sigma"]
+    size, sigma = told["season"], told["season_sigma"]
+    if told["season_is_found"] and size > PLAIN * sigma:  # one of the tilt alone has no date
         largest = first + (round(told["season_phase"] * YEAR_US) - first) % YEAR_US
         late = round(sigma / size * YEAR_US / (2 * math.pi))
         season = Change(*of, SEASON, largest, late, math.expm1(size), sigma, **_plain_shape(told["season_shape"]))

@@ -17,6 +17,9 @@ from lbacal_twin.campaign import Campaign, simulate_campaign
 from lbacal_twin.faults.fault import Where
 from lbacal_twin.settings import START_2014, TwinSettings
 from service.factory import Factory
+from service.storage.models import Investigation
+from service.usecases.changes import propose
+from service.usecases.watch import read_slow
 from tests.service.conftest import night, served
 from validation.moving import Moved
 
@@ -132,3 +135,24 @@ def test_c_follows_what_a_person_enters(make_service: Callable[..., Factory], ca
 
 def path_of(one: dict[str, Any]) -> tuple[int, str]:
     return one["antenna"], one["dipole"]
+
+
+def test_a_season_of_the_tilt_alone_is_no_change_with_a_date() -> None:
+    shape = {"tilt": {"value": 0.02, "sigma": 0.001}}
+    told = {
+        "station": "CS002", "antenna": 1, "dipole": "X", "is_found": False, "season_is_found": True, "season": 0.0,
+        "season_sigma": 0.001, "season_shape": shape, "season_phase": 0.5, "season_significance": 9.0,
+    }  # fmt: skip
+    assert list(read_slow(told, 0.0)) == []
+    ((change, _),) = read_slow({**told, "season": 0.01}, 0.0)
+    assert (change.kind, change.tilt, change.sigma_days) == ("season", 0.02, pytest.approx(36.525 / (2.0 * np.pi)))
+
+
+def test_the_drift_that_an_investigation_finds_is_proposed_as_a_ramp(instrument: Instrument) -> None:
+    """It was no cause that could be adopted, and no change either."""
+    where, size = {"antennas": [1], "dipoles": ["X"]}, {"value": 0.05, "sigma": 0.01}
+    finding = {"cause": "gain_drift", "parameters": {}, "where": where, "size": size, "significance_sigma": 8.0}
+    made = Investigation("id", "CS001", 0, 1, {}, {"findings": [finding]}, 1, "", "")
+    ((change, evidence),) = propose(made, instrument)
+    assert (change.kind, change.paths, change.date, evidence.source) == ("ramp", ((1, "X"),), 0, "investigation")
+    assert change.size == pytest.approx(1.05**-0.5 - 1.0), "C^2 is proportional to 1 / gain"
