@@ -160,9 +160,9 @@ def pseudo_invert(design: Floats, share: float = SHARE) -> Floats:
     return np.asarray(unit[..., None] * np.linalg.pinv(design * unit[..., None, :], rcond=share))
 
 
-def fit_least_squares(design: Floats, values: Floats, share: float = SHARE) -> Floats:
+def fit_least_squares(design: Floats, values: Floats) -> Floats:
     """Amounts of the columns of a design, shape (row, column), in values, shape (row,) or (..., row, any)."""
-    return np.asarray(pseudo_invert(design, share) @ values)
+    return np.asarray(pseudo_invert(design) @ values)
 
 
 def _regularise(matrix: Floats) -> tuple[Floats, Floats]:

@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 from astropy.table import QTable
 
 from lbacal.analysis.data import spectra_of
@@ -33,6 +34,7 @@ from lbacal_core.sky.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra
 
 COLUMNS = ("cause", "station", "size", "sigma", "what is wrong")
+TABLE = ("cause", "station", "size", "size_sigma", "unit", "significance_sigma", "sentence")
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
@@ -205,13 +207,23 @@ def _make(source: str, content: dict[str, Any], simulation: Simulation, figures:
         charts=figures.charts,
         page=figures.page,
         as_dict=lambda: content,
-        as_table=lambda: QTable(rows=rows or None, names=COLUMNS, dtype=[str] * len(COLUMNS)),
+        as_table=partial(_list_findings, findings),
         report=content,
         simulation=simulation,
         verdict=content["verdict"],
         findings=findings,
         unexplained=content["unexplained"],
     )
+
+
+def _list_findings(findings: Sequence[Finding]) -> QTable:
+    """A row a finding; the size is in the unit of its cause, and without error where that is not known."""
+    rows = []
+    for one in findings:
+        size, station = one.content["size"], one.content["where"]["station"] or ""
+        sigma = np.nan if size["sigma"] is None else size["sigma"]
+        rows.append((one.cause, station, size["value"], sigma, size["unit"], one.significance, one.sentence))
+    return QTable(rows=rows or None, names=TABLE, dtype=[str, str, float, float, str, float, str])
 
 
 def _tell(content: Mapping[str, Any]) -> Iterator[str]:

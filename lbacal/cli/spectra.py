@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import sys
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from lbacal.cli.outputs import require_outputs
+from lbacal.cli.outputs import progress, require_outputs
 from lbacal.files import written_beside
 from lbacal_core.spectra.spectra import Spectra
 
@@ -132,7 +131,8 @@ def _reduce(
 
     batch = TraceBatch(work, settings, output.with_name(output.name + ".parts"))
     records: list[dict[str, Any]] = []
-    with _progress(len(work)) as say:
+    with progress(len(work)) as tell:
+        say = tell if sys.stdout.isatty() else partial(print, flush=True)
         for event, result, is_old in batch.run(dask):
             if isinstance(result, str):
                 failures.append({"event_id": event.event_id, "station": event.station, "error": result})
@@ -176,21 +176,6 @@ def _describe(name: str, records: list[dict[str, Any]], longitude: float, is_old
         f"{name}: {len(usable)} of {len(records)} paths, {blocks}, {flagged:.0f} % of channels flagged, LST {lst:.2f} h"
     )
     return words + (f", {', '.join(faults)}" if faults else "") + (" (done before)" if is_old else "")
-
-
-@contextmanager
-def _progress(steps: int) -> Iterator[Callable[[str], None]]:
-    """A progress bar on a terminal, one line a step elsewhere."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    console = Console()
-    if not console.is_terminal:
-        yield partial(print, flush=True)
-        return
-    with Progress(console=console) as bar:
-        task = bar.add_task("station events", total=steps)
-        yield lambda line: bar.update(task, advance=1, description=line[:60])
 
 
 def _draw(item: Any, settings: Any, path: Path) -> None:

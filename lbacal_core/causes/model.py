@@ -201,9 +201,7 @@ class Model:
             raise BadInputError("model", f"the fields of {FORMAT}", f"{type(error).__name__}: {error}") from error
 
     @classmethod
-    def from_report(
-        cls, report: Mapping[str, Any], number: int | str | None = None, since_unix: int | None = None
-    ) -> Model:
+    def from_report(cls, report: Mapping[str, Any], number: int | str | None = None) -> Model:
         """The model with which a report was made, extended by one of its findings, or by all of them.
 
         Parameters
@@ -212,17 +210,18 @@ class Model:
             The report of an investigation as JSON values.
         number
             Number of the finding, from 0; ``unexplained`` for the structure without a name; None for all findings.
-        since_unix
-            Instant from which they act, s UTC; None for the first event of the report.
         """
         made_with = report.get("model")
         before = cls() if made_with is None else cls.from_text(made_with)
         if number is None and not before.is_plain and not report.get("findings"):
             return before
-        return before.adopt(report, number, since_unix)
+        return before.adopt(report, number)
 
     def adopt(self, report: Mapping[str, Any], number: int | str | None = None, since_unix: int | None = None) -> Model:
-        """The same model extended by a finding of a report, or by all of them; parameters as in `from_report`."""
+        """The same model extended by a finding of a report, or by all of them, as `from_report`.
+
+        They act from `since_unix` on, s UTC; None for the first event of the report.
+        """
         if number == UNEXPLAINED:
             return Model((*self.causes, _adopt_structure(report.get("unexplained"), since_unix)))
         findings: Sequence[Mapping[str, Any]] = report.get("findings", [])

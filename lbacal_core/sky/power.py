@@ -88,19 +88,17 @@ def vary_sky_power(
     lst_hours: Floats | None = None,
     *,
     azimuth_deg: float = 0.0,
-    tilt_deg: float = 0.0,
-    tilt_towards_deg: float = 0.0,
     zenith_exponent: float = 0.0,
     zenith_gain_fraction: float = 0.0,
 ) -> SkyPower:
     """P_sky where the instrument stands as `compute_sky_power`, with the beam varied and its G_ant left as it is.
 
-    A variation that changes the gain at zenith (`zenith_gain_fraction`, a tilt) appears in P_sky, so that
-    P_sky G_ant is the power received; parameters as in `VariedAntenna`.
+    A variation of the gain at zenith appears in P_sky, so that P_sky G_ant is the power received; parameters as in
+    `VariedAntenna`.
     """
     antenna = antenna or antenna_for_ratios(instrument)
     base = load_antenna(antenna) if isinstance(antenna, str) else antenna
-    varied = VariedAntenna(base, azimuth_deg, tilt_deg, tilt_towards_deg, zenith_exponent, zenith_gain_fraction)
+    varied = VariedAntenna(base, azimuth_deg, zenith_exponent=zenith_exponent, zenith_gain=zenith_gain_fraction)
     result = compute_sky_power(replace(instrument, sites={}), sky, varied, lst_hours)
     gain = zenith_gain(varied, instrument.frequency_mhz) / zenith_gain(base, instrument.frequency_mhz)
     received = replace(result, power={dipole: values * gain for dipole, values in result.power.items()})

@@ -66,6 +66,8 @@ def test_a_finding_has_its_size_its_gain_its_figure_and_the_simulation_with_it(f
     assert [one.cause for one in extended.causes.causes] == ["lst_offset"]
     assert "lst_offset in station of CS002" in repr(extended)
     assert "15" in repr(found)
+    assert found.table["size"][0] == finding.content["size"]["value"]
+    assert (found.table["size_sigma"][0] > 0, found.table["unit"][0]) == (True, "h")
     assert "sidereal time" in found._repr_html_()
 
 
