@@ -30,6 +30,8 @@ class Policy:
         Share of the best score below which a candidate cannot win by a better fit.
     indistinguishable
         SNR^2 (1 - r^2) below which another template fits as well: 3 standard deviations.
+    beside_share
+        Factor on the probability of a false alarm of causes beside a structure: what it leaves of itself is no noise.
     likelier
         ln of the odds by which a sentence must be likelier than the likeliest cause: 20 to 1.
     hidden_share
@@ -45,6 +47,7 @@ class Policy:
     rivals: int = 4
     rival_share: float = 0.6
     indistinguishable: float = 9.0
+    beside_share: float = 0.01
     hidden_share: float = 0.03
     likelier: float = 3.0
 

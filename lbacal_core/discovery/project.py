@@ -168,12 +168,15 @@ class LinearModel:
         The chain of the mean path of each class; the free vectors are its derivatives.
     modes
         Relative changes of P_sky by which sky and antenna models differ, or None where P_sky is exact.
+    empirical
+        Further free vectors of the mean, shape (vector, polarisation, event, freq), or None.
     """
 
     station: Station
     residuals: Residuals
     terms: ChainTerms
     modes: SkyModes | None
+    empirical: Floats | None = None
 
     def with_levels(self, levels: NoiseLevels) -> LinearModel:
         """The same residuals weighed with other noise levels."""
@@ -291,6 +294,8 @@ class LinearModel:
             modes = self._modes_in_mean(self.modes)
             free, prior = np.concatenate([free, modes]), np.concatenate([prior, np.full(len(modes), self.modes.prior)])
             waves = None if self.modes.waves is None else self._waves_in_mean(*self.modes.waves)
+        if self.empirical is not None:
+            free, prior = np.concatenate([free, self.empirical]), np.concatenate([prior, np.zeros(len(self.empirical))])
         weight = np.ones((1, channel.shape[1]))
         return View(channel, inside, levels.vectors, slope, free, prior, waves, weight, residuals.mean[None])
 

@@ -19,7 +19,7 @@ from lbacal_core.discovery.hypothesis import p_of_best
 from lbacal_core.discovery.noise import NoiseLevels, beyond_noise
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.refit import FOLDS, held_out_fold
-from lbacal_core.discovery.single_events import find_in_events
+from lbacal_core.discovery.single_events import find_in_events, pattern_of
 from lbacal_core.discovery.view import Seen, View
 from lbacal_core.grids import Floats
 from lbacal_core.linear import fit_least_squares
@@ -131,9 +131,10 @@ class ResidualStructure:
         Log-likelihood gained on events not used; None in single events, which nothing describes beforehand.
     channel_share
         Share of the structure in each channel, shape (freq,).
+    vectors
+        Vectors that describe it in the means, shape (vector, polarisation, event, freq); None where a path shows it.
     term
-        Relative change of the power that it makes along an axis in the means, shape (polarisation, event, freq); None
-        where a path shows it.
+        What they describe, relative change of the power along an axis, shape (polarisation, event, freq), or None.
     coefficients
         Those of the functions in `term`, shape (polarisation, function of frequency, function of the axis), or None.
     amounts
@@ -148,6 +149,7 @@ class ResidualStructure:
     dof: int
     held_out_gain: float | None
     channel_share: Floats
+    vectors: Floats | None
     term: Floats | None = None
     coefficients: Floats | None = None
     amounts: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -232,21 +234,23 @@ def _try_all(model: LinearModel, rng: np.random.Generator) -> tuple[list[_Candid
 
 def _tell(model: LinearModel, one: _Candidate, axes: Mapping[Axis, Floats], chance: float) -> ResidualStructure:
     """What is reported of a candidate that has this probability by chance."""
-    held_out, term, coefficients, amounts = None, None, None, dict[str, tuple[float, float]]()
-    share = one.spectrum**2
-    if one.axis is not None:
+    held_out, vectors, term, coefficients, amounts = None, None, None, None, dict[str, tuple[float, float]]()
+    if one.axis is None:
+        vectors, share = pattern_of(model, one.spectrum), one.spectrum**2
+    else:
         held_out, share, size, of_places = _describe(one.places, axes[one.axis], held_out_fold(model.station))
         if len(one.places) > 1:
             pairs = zip(one.places, of_places.tolist(), strict=True)
             amounts = {place.label: (amount, sigma) for place, (amount, sigma) in pairs}
         if one.target == STATION:
-            term = np.tensordot(size, _vectors(one.places[0], axes[one.axis]), axes=1)
+            vectors = _vectors(one.places[0], axes[one.axis])
+            term = np.tensordot(size, vectors, axes=1)
             shown = one.places[0].seen.values[:, :, 0]
             onto = fit_least_squares(_polynomials(shown.shape[2]).T, shown.reshape(-1, shown.shape[2]).T)
             onto = onto.T.reshape(*shown.shape[:2], -1)
             coefficients = np.einsum("krl,kn->rln", onto, size.reshape(len(onto), -1))
     return ResidualStructure(
-        one.axis, one.target, chance, one.gain, one.dof, held_out, share, term, coefficients, amounts
+        one.axis, one.target, chance, one.gain, one.dof, held_out, share, vectors, term, coefficients, amounts
     )
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from lbacal_core.audit.record import RecordError
 from lbacal_core.causes.catalogue import CAUSES
-from lbacal_core.causes.cause import Cause, Conditions, Template
+from lbacal_core.causes.cause import Cause, Conditions, Template, signature
 from lbacal_core.causes.grammar import axis_of, parts_of
 from lbacal_core.causes.model import PLAIN, Model
 from lbacal_core.discovery.adopted import FittedSize, fit_adopted
@@ -22,8 +22,9 @@ from lbacal_core.discovery.antennas import AntennaScore, compare_antennas, compa
 from lbacal_core.discovery.baseline import leave_out_deaf
 from lbacal_core.discovery.describe import Description, describe_structure
 from lbacal_core.discovery.findings import Finding, Grown, StationSearch, grow_findings
-from lbacal_core.discovery.hypothesis import Hypothesis, list_targets
+from lbacal_core.discovery.hypothesis import Hypothesis, list_targets, p_of
 from lbacal_core.discovery.policy import Policy
+from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.refit import FittedModel, refit
 from lbacal_core.discovery.residual_structure import (
     STATION,
@@ -34,6 +35,7 @@ from lbacal_core.discovery.residual_structure import (
 from lbacal_core.discovery.scan import Score, shares_taken
 from lbacal_core.discovery.sentences import SENTENCE
 from lbacal_core.discovery.station import SkyModes, Station
+from lbacal_core.linear import invert_symmetric
 
 
 @dataclass(frozen=True)
@@ -135,7 +137,10 @@ def search_station(
     findings, similar = grown.findings, list[Finding]()
     if structure is not None:
         here = partial(_lives_there, structure=structure, conditions=station.conditions)
-        similar = [one for one in findings if one is twice or here(one.hypothesis)]
+        is_seen = _seen_beside(first.linear, findings, structure, policy)
+        similar = [
+            one for one, seen in zip(findings, is_seen, strict=True) if one is twice or here(one.hypothesis) or not seen
+        ]
         findings = [one for one in findings if all(one is not other for other in similar)]
     hidden = [one.cause for one in search.hidden or []]
     standing = _standing(first, grown, findings)
@@ -214,6 +219,24 @@ def _with(model: FittedModel, findings: Sequence[Finding]) -> FittedModel:
     for finding in findings:
         model = refit(model, finding.hypothesis) or model
     return model
+
+
+def _seen_beside(
+    model: LinearModel, findings: Sequence[Finding], structure: ResidualStructure, policy: Policy
+) -> list[bool]:
+    """Whether each finding is significant beside residual structure: profiled out in the means, as it is in paths."""
+    if not findings:
+        return []
+    beside = replace(model, empirical=structure.vectors)
+    hypotheses = [finding.hypothesis for finding in findings]
+    templates = [signature(one.cause, beside.terms, beside.station.conditions, one.template) for one in hypotheses]
+    score, information = beside.products(templates, [one.target for one in hypotheses])
+    inverse = invert_symmetric(information, share=1e-6)
+    z = np.abs(inverse @ score) / np.sqrt(np.maximum(np.diag(inverse), 1e-300))
+    chances = [p_of(own, one.score.trials * one.score.causes) for own, one in zip(z.tolist(), findings, strict=True)]
+    alpha, in_means = policy.catalogue_alpha * policy.beside_share, structure.vectors is not None
+    on_parts = [one.target.scope != STATION for one in hypotheses]
+    return [p <= alpha or not (in_means or part) for p, part in zip(chances, on_parts, strict=True)]
 
 
 def _lives_there(one: Hypothesis, structure: ResidualStructure, conditions: Conditions) -> bool:

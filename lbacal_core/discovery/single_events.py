@@ -252,6 +252,16 @@ def _largest_of_noise(rng: np.random.Generator, events: int, channels: int) -> f
     return float(np.linalg.eigvalsh(noise.T @ noise)[-1])
 
 
+def pattern_of(model: LinearModel, spectrum: Floats) -> Floats:
+    """What every event has along a whitened spectrum, in the means, shape (1, polarisation, event, freq)."""
+    pattern = np.outer(_whiten(model, model.residuals.mean) @ spectrum, spectrum)
+    vectors, channel = model.common.vectors, model.common.channel
+    amount = pattern @ vectors.T
+    outside = (pattern - amount @ vectors) / np.sqrt(np.maximum(channel, 1e-300))[..., None]
+    inside = np.squeeze(invert_symmetric(_root_of_inside(model)) @ amount[..., None], -1) @ vectors
+    return np.asarray((outside + inside) * (channel > 0)[..., None])[None]
+
+
 def _whiten(model: LinearModel, values: Floats) -> Floats:
     """A vector of the means without what is free, both polarisations together, in standard deviations."""
     view = model.common

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,9 +11,10 @@ from lbacal_core.causes.model import AdoptedCause, Model
 from lbacal_core.discovery.findings import Grown, _idle
 from lbacal_core.discovery.growth import grow
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
+from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.refit import refit
 from lbacal_core.discovery.residual_structure import ResidualStructure
-from lbacal_core.discovery.search import _lives_there, _standing, search_station
+from lbacal_core.discovery.search import _lives_there, _seen_beside, _standing, search_station
 from lbacal_core.discovery.station import gather_stations
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.fault import Where
@@ -88,7 +90,7 @@ def test_a_finding_on_a_group_is_seen_in_the_means_and_in_paths(world, scope, in
     found = Hypothesis(cause, Template(), Target(scope, "some", np.ones(1, dtype=bool)), 0.2)
     for target, is_seen in (("station", in_means), ("antenna 3 X", in_paths)):
         for axis, lives in (("lst", is_seen), ("rain", False)):
-            left = ResidualStructure(axis_named(axis), target, 1e-6, 117.0, 40, 13.0, np.ones(1))
+            left = ResidualStructure(axis_named(axis), target, 1e-6, 117.0, 40, 13.0, np.ones(1), None)
             assert _lives_there(found, left, conditions) == lives
 
 
@@ -107,6 +109,34 @@ def test_antennas_are_compared_beside_the_findings_that_stand(world):
     paths = look.data.antenna == 1
     bent = np.log(both.baseline.solution.x / left.baseline.solution.x)[paths]
     assert np.ptp(bent) > 1e-3
+
+
+def finding_of(look, target):
+    found = look.fit_as_is("gain_temperature", look.template("gain_temperature"), target)
+    return SimpleNamespace(hypothesis=found.effect, score=SimpleNamespace(trials=20.0, causes=26))
+
+
+@pytest.mark.parametrize(("size", "stands"), [(0.006, False), (0.02, True)])
+def test_a_name_beside_structure_in_single_events_needs_what_a_name_beside_an_axis_needs(world, size, stands):
+    """Storms in summer were `cable_temperature` of 4.7 standard deviations beside structure in single events."""
+    look = world.look(GainTemperature(size=size))
+    finding = finding_of(look, "station")
+    events = np.zeros_like(look.model.linear.residuals.mean)[None]
+    events[..., ::7, :10] = 1.0
+    left = ResidualStructure(None, "station", 1e-9, 60.0, 351, None, np.ones(1), events)
+    assert abs(finding.hypothesis.size / finding.hypothesis.sigma) > 4
+    assert _seen_beside(look.model.linear, [finding], left, Policy()) == [stands]
+    in_paths = replace(left, target="antenna 2 X", vectors=None)
+    assert _seen_beside(look.model.linear, [finding], in_paths, Policy()) == [True]
+
+
+@pytest.mark.parametrize(("size", "stands"), [(0.008, False), (0.03, True)])
+def test_a_name_on_an_antenna_beside_structure_in_paths_needs_as_much(world, size, stands):
+    """A gain step of 5.7 standard deviations was named in one path beside a gradient over the field."""
+    look = world.look(GainTemperature(size=size, where=Where(antennas=(1,))))
+    finding = finding_of(look, "antenna 1")
+    left = ResidualStructure(axis_named("lst"), "antenna 2 X", 1e-9, 60.0, 16, 20.0, np.ones(1), None)
+    assert _seen_beside(look.model.linear, [finding], left, Policy()) == [stands]
 
 
 class Letters:
