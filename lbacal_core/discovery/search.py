@@ -1,7 +1,8 @@
 """The search of one station's data for what the simulation gets wrong. Read `search_station` from top to bottom.
 
-Fit the baseline and score every cause. Fit everything again with the best one, and accept it if the likelihood of
-held-out events rises. Repeat on the new residuals. Then test for residual structure, which uses no catalogue.
+Fit the baseline, score every cause and the sentences of no catalogue, and fit everything again with the likeliest. It
+is accepted if the likelihood of held-out events rises. Repeat on the new residuals. Then test for residual structure,
+which uses no catalogue: a sentence that was accepted is structure, and a cause that it explains as well is no finding.
 """
 
 from __future__ import annotations
