@@ -8,6 +8,7 @@ The site is in var/site/html; a link that leads nowhere ends the build.
 from __future__ import annotations
 
 import argparse
+import logging
 import os
 import re
 import shutil
@@ -27,6 +28,8 @@ DOCS, PAGES = HERE / "docs", HERE / "var/site/pages"
 LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)\s#]+)(#[^)\s]*)?\)")
 TIGHT = re.compile(r"^(?!- |\* |\d+\. |\||>|#| ).+\n(?=- |\d+\. |\|)", re.MULTILINE)
 """The end of a paragraph that a list or a table follows at once: on the site they need an empty line between them."""
+INDEX = re.compile(r"(```.*?```|`[^`]*`)|\]\[", re.DOTALL)
+"""Code, or the indices of an array in prose, which are no reference to another page."""
 FIRST = ["README.md", {"First hour": "notebooks/first-hour.md"}]
 FOLDERS = ["notebooks", "tutorials", "how-to", "explanation", "formats"]
 LAST = ["reference", "commands", "settings", "causes", "logbook", "glossary", "gallery", "validation"]
@@ -58,6 +61,7 @@ def main(arguments: list[str]) -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--without-notebooks", action="store_true", help="show their code and do not run it")
     chosen = parser.parse_args(arguments)
+    logging.basicConfig(level=logging.WARNING, format="%(message)s")  # what ends the build
     shutil.rmtree(PAGES, ignore_errors=True)
     shutil.copytree(DOCS, PAGES, ignore=shutil.ignore_patterns("notebooks"))
     for notebook in sorted((DOCS / "notebooks").glob("*.ipynb")):
@@ -65,6 +69,7 @@ def main(arguments: list[str]) -> None:
         write_notebook(notebook, is_run=not chosen.without_notebooks)
     for page in sorted(PAGES.rglob("*.md")):
         text = TIGHT.sub(lambda end: f"{end[0]}\n", page.read_text(encoding="utf-8"))
+        text = INDEX.sub(lambda one: one[1] or r"]\[", text)
         page.write_text(keep_inside(text, page.parent), encoding="utf-8")
     pictures = sorted((DOCS / "images").glob("*.png"))
     gallery = (f"## {one.stem.replace('-', ' ')}\n![]({one.relative_to(DOCS)})\n" for one in pictures)
