@@ -41,7 +41,7 @@ class Settings(BaseSettings):
     poll_s: float = Field(default=1, gt=0, description="pause of an idle worker between two looks for work, s")
     nightly_utc: str = Field(default="02:00", pattern=_TIME_OF_DAY, description="when due refits are found, UTC")
     quiet_s: float = Field(
-        default=600, ge=0, description="the daily run waits until no spectra arrived for so long, six times at most, s"
+        default=600, ge=0, description="the scheduler waits until no spectra arrived for so long, six times at most, s"
     )
     cut_windows: bool = Field(
         default=True, description="cut the windows of an antenna at dates at which the drift found that it changed"

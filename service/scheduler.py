@@ -1,10 +1,13 @@
-"""The scheduler: looks for due work when it starts and daily after, and enqueues it; it does none itself."""
+"""The scheduler: looks for due work when it starts and daily after, and enqueues it; it does none itself.
+
+No look but one that is ordered (`--once`) begins while a campaign is arriving.
+"""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from datetime import UTC
+from datetime import UTC, datetime
 
 import structlog
 from apscheduler.schedulers.background import BackgroundScheduler
@@ -41,20 +44,17 @@ def run_scheduler(factory: Factory, stop: threading.Event) -> None:
     """Look for due work now, which makes up for missed days, and then daily until asked to stop."""
 
     def look() -> None:
-        persist(lambda: look_for_due_work(factory), stop)
-
-    def look_by_night() -> None:
         persist(lambda: wait_for_quiet(factory, stop), stop)
-        look()
+        persist(lambda: look_for_due_work(factory), stop)
 
     hour, minute = factory.settings.nightly_utc.split(":")
     # no grace time: a night missed by a second or an hour is made up for, once
     scheduler = BackgroundScheduler(timezone=UTC, job_defaults={"coalesce": True, "misfire_grace_time": None})
-    scheduler.add_job(look_by_night, CronTrigger(hour=hour, minute=minute, timezone=UTC), max_instances=1)
+    daily = CronTrigger(hour=hour, minute=minute, timezone=UTC)
+    scheduler.add_job(look, daily, max_instances=1, next_run_time=datetime.now(UTC))
     again = IntervalTrigger(seconds=AGAIN_S, timezone=UTC)
     scheduler.add_job(lambda: persist(lambda: look_again(factory), stop), again, max_instances=1)
     with Pulse(factory.database, SCHEDULER, factory.inputs.text):
-        look()
         scheduler.start()
         stop.wait()
         scheduler.shutdown()
@@ -67,7 +67,10 @@ def wait_for_quiet(factory: Factory, stop: threading.Event) -> None:
         with factory.database.read() as stores:
             newest = stores.spectra.arrivals.newest()
         left_s = 0.0 if newest is None else quiet_s - (factory.clock() - newest) / 1e6
-        if left_s <= 0 or stop.wait(min(left_s, quiet_s)):
+        if left_s <= 0:
+            return
+        log.info("spectra are arriving: the look for due work waits", quiet_s=quiet_s, left_s=round(left_s))
+        if stop.wait(min(left_s, quiet_s)):
             return
 
 

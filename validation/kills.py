@@ -56,7 +56,14 @@ DATES = ("2014-07-01", "2015-07-01")
 IDLE_S = 3.0
 """What a part enqueues when it ends is there within this time: the drift of new versions, and the watch over it."""
 SKY = "sky_power.json"
-SETTINGS: dict[str, Any] = {"lease_s": 3, "poll_s": 0.1, "gate_error": 0.5, "gate_change": 0.9, "log_level": "warning"}
+SETTINGS: dict[str, Any] = {
+    "lease_s": 3,
+    "poll_s": 0.1,
+    "quiet_s": 0,
+    "gate_error": 0.5,
+    "gate_change": 0.9,
+    "log_level": "warning",
+}
 
 
 @dataclass(frozen=True)

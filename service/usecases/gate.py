@@ -17,6 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from lbacal.instants import SECOND_US
+from lbacal_core.calibration.slow_changes import SlowChange
 from lbacal_core.curves.curves import CONVERGED, MISFIT, OK, CalibrationCurve
 from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.curves.validity import Instant, Scope
@@ -242,18 +244,24 @@ class Gate:
         predecessor: Version | None,
         model_change: ModelChange | None = None,
         cuts: Sequence[Cut] = (),
+        slow: Sequence[SlowChange] = (),
     ) -> str | None:
         """Why a version may not go into effect by itself, with the worst of its events; None if it may.
 
         Where the predecessor was fitted with another model, a change of C passes that `model_change` announced; what is
-        in force to have changed between the two (`cuts`) is no objection.
+        in force to have changed between the two (`cuts`, and the `slow` changes of the scope) is no objection.
         """
-        reason = self._object(version, predecessor, model_change, cuts)
+        in_force = (0.0, 0.0) if predecessor is None else find_in_force(version, predecessor, cuts, slow)
+        reason = self._object(version, predecessor, model_change, in_force)
         worst = version.anomalies.name_worst(EVENTS_NAMED)
         return f"{reason}; worst events: {worst}" if reason and worst else reason
 
     def _object(
-        self, version: Version, predecessor: Version | None, model_change: ModelChange | None, cuts: Sequence[Cut]
+        self,
+        version: Version,
+        predecessor: Version | None,
+        model_change: ModelChange | None,
+        in_force: tuple[float, float],
     ) -> str | None:
         if predecessor and predecessor.made > version.made and predecessor.window == version.window:
             return f"{predecessor.id[:12]} was made from later data and is in effect"
@@ -262,8 +270,7 @@ class Gate:
             if weakness is not None:
                 return f"{curve.name}: {weakness}"
             change = find_change_of_mean(version, predecessor, str(curve.dipole)) if predecessor else None
-            least, most = (0.0, 0.0) if predecessor is None else find_in_force(version, predecessor, cuts)
-            if change is None or least - self.change <= change <= most + self.change:
+            if change is None or in_force[0] - self.change <= change <= in_force[1] + self.change:
                 continue
             told = f"{curve.name}: mean C differs by {change:+.1%} from before, at most {self.change:.1%} passes"
             if predecessor is None or model_change is None or predecessor.model == version.model:
@@ -306,7 +313,9 @@ class Gate:
         return None
 
 
-def find_in_force(version: Version, predecessor: Version, cuts: Sequence[Cut]) -> tuple[float, float]:
+def find_in_force(
+    version: Version, predecessor: Version, cuts: Sequence[Cut], slow: Sequence[SlowChange]
+) -> tuple[float, float]:
     """The range of changes of C that changes in force allow between two versions; no limits where a size is unknown."""
     windows, scope = (version.window, predecessor.window), version.scope
     first, last = min(since for since, _ in windows), max(until for _, until in windows)
@@ -316,6 +325,9 @@ def find_in_force(version: Version, predecessor: Version, cuts: Sequence[Cut]) -
         return -math.inf, math.inf
     sign = 1.0 if version.since >= predecessor.since else -1.0
     moved = [-0.5 * sign * math.log(power) for power in inside if power is not None]
+    spans = [(since / SECOND_US, until / SECOND_US) for since, until in windows]
+    # where it stands at one instant, beside its mean over one window and over the other
+    moved += [one.size * (one.depart(0.0, spans[1]) - one.depart(0.0, spans[0])) for one in slow]
     return math.expm1(sum(min(one, 0.0) for one in moved)), math.expm1(sum(max(one, 0.0) for one in moved))
 
 

@@ -18,7 +18,7 @@ from service.storage.database import Database, Stores
 from service.storage.jobs import Order, Part
 from service.storage.sums import KeptPiece, Sums, Told, read_pieces
 from service.storage.versions import Examined, Version
-from service.usecases.calibrations import select_paths
+from service.usecases.calibrations import find_slow, group_by_antenna, select_paths
 from service.usecases.fits import (
     SMALLEST_SHIFT,
     Fits,
@@ -188,11 +188,14 @@ class Refits:
         aside = {scope: one.calibration for scope, one in own.items() if standing.get(scope) != one.calibration}
         versions = stores.versions.get_many({*before.values(), *standing.values(), *aside.values()})
         change = stores.models.last_change(part.request["station"], since, until)
-        superseded, cuts = _explain_other_model(stores, part), stores.changes.cuts(part.request["station"])
-        gated = {
-            v.id: superseded or self.gate.objection(v, versions.get(before.get(v.scope, "")), change, cuts)
-            for v in made
-        }
+        superseded, kept_changes = _explain_other_model(stores, part), stores.changes.kept(part.request["station"])
+        cuts, of_antenna = [cut for one in kept_changes for cut in one.cuts], group_by_antenna(kept_changes)
+
+        def object_to(v: Version) -> str | None:
+            slow = [one.slow for one in find_slow(v.scope, of_antenna) if one.slow]
+            return self.gate.objection(v, versions.get(before.get(v.scope, "")), change, cuts, slow)
+
+        gated = {v.id: superseded or object_to(v) for v in made}
         examined = dict[Scope, Examined]()
         stays = set[Scope]()
         for v in made if part.is_due else []:

@@ -258,3 +258,14 @@ def test_a_night_waits_for_a_campaign_that_is_being_ingested_and_not_for_ever(
     stop.set()
     monkeypatch.undo()
     wait_for_quiet(filled, stop)
+
+
+def test_a_scheduler_that_starts_while_a_campaign_arrives_waits_as_the_night_does(
+    filled: Factory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A restart in the middle of an ingest fitted half of a year."""
+    stop, seen = threading.Event(), list[str]()
+    monkeypatch.setattr(scheduler, "wait_for_quiet", lambda *_: seen.append("waited"))
+    monkeypatch.setattr(scheduler, "look_for_due_work", lambda _: (seen.append("looked"), stop.set()))
+    run_scheduler(filled, stop)
+    assert seen == ["waited", "looked"]

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lbacal_core.calibration.slow_changes import YEAR_S, SlowChange
 from lbacal_core.curves.curves import CONVERGED, TOO_FEW_EVENTS, CalibrationCurve
 from lbacal_core.curves.validity import Promotion, Scope
 from service.storage.changes import Cut
@@ -92,6 +93,21 @@ def test_a_change_in_force_between_two_versions_is_no_objection():
     assert GATE.objection(earlier, BEFORE, None, [replace(whole, date=10)]) is None, "and the other way in time"
     for other in (replace(whole, date=500), replace(whole, antenna=3), replace(whole, power=1.2**2.0)):
         assert "differs by +24.0%" in str(GATE.objection(later, BEFORE, None, [other]))
+
+
+def test_a_ramp_in_force_is_no_objection_and_its_opposite_is():
+    """Beyond 10 % a year every year of an antenna that goes on rising waited for a human."""
+    years = [(0, round(YEAR_S * 1e6)), (round(YEAR_S * 1e6), round(2 * YEAR_S * 1e6))]
+    before, after = (
+        version(curve(c), curve(c, dipole="Y"), made=made, window=window)
+        for c, made, window in ((1e-3, 100, years[0]), (1.2e-3, 200, years[1]))
+    )
+    ramp = SlowChange(False, 0.0, 0.0, np.log(1.15), 0.01, (0.0, 0.0))
+    assert GATE.objection(after, before, None, (), [ramp]) is None
+    assert GATE.objection(replace(before, made=300), after, None, (), [ramp]) is None, "and the other way in time"
+    season = replace(ramp, is_season=True)
+    for other in ([], [replace(ramp, size=-ramp.size)], [replace(ramp, date_unix=1.9 * YEAR_S)], [season]):
+        assert "differs by +20.0%" in str(GATE.objection(after, before, None, (), other))
 
 
 def test_a_curve_that_did_not_converge_waits():
