@@ -6,7 +6,7 @@ describes profiled out. What passes the threshold enters the model; a step gets 
 significant beside the rest leaves, and each term may give its place to a better one: the first step that is added to a
 path with several is a compromise between them. Medians are taken again of what the model leaves, so that a step of one
 path in a small group does not appear in the others; for the same reason a round adds nothing that the best of its group
-could cause.
+could cause. A step has a date to choose, a slope has none: one is preferred to the other by the mean over the dates.
 
 A score is the sum of squares of the scores of the modes, made uncorrelated: chi-square with one degree a mode. The
 threshold is that of the number of series times months, so that `FALSE_ALARMS` are expected in all of them together.
@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
 from lbacal_core.drift.model import (
     MOST_STEPS,
@@ -34,7 +35,7 @@ from lbacal_core.drift.model import (
 )
 from lbacal_core.grids import Floats
 
-FALSE_ALARMS = 0.05
+FALSE_ALARMS = 0.01
 """Steps and slopes expected by chance in all series together; nightly looks at growing data make some times as many."""
 MOST_ROUNDS = 40
 SETTLING_ROUNDS = 2
@@ -47,6 +48,17 @@ medians would be taken without it, and nothing could tell any more who stepped."
 ALIKE = 0.25
 """Share of the best chi-square of a group from which on series count as those that step."""
 MOST_LEAKAGE = 0.9
+
+
+def over_dates(steps: Floats) -> Floats:
+    """Twice the log likelihood ratio of a step at a date that nobody knows, of months alike likely before.
+
+    Parameters
+    ----------
+    steps
+        Chi-square of a step before every month, 0 where none is possible, shape (series, month).
+    """
+    return np.asarray(2.0 * (logsumexp(steps / 2.0, axis=1) - np.log(steps.shape[1])))
 
 
 @dataclass(frozen=True)
@@ -156,7 +168,7 @@ class _Search(SeriesModel):
         alike = np.bincount(self.series.group, weights=is_alike, minlength=len(self.median))
         share = np.minimum(self.leakage * alike, MOST_LEAKAGE) ** 2
         is_added = (top > self.cut) & (top >= (share * of_group)[self.series.group])
-        gets_slope = is_added & (slopes >= of_best)
+        gets_slope = is_added & (slopes >= over_dates(steps))
         self.terms = replace(self.terms, has_slope=self.terms.has_slope | gets_slope)
         rows = np.flatnonzero(is_added & ~gets_slope)
         self.put_steps(rows, best[rows])
@@ -187,7 +199,7 @@ class _Search(SeriesModel):
         best = np.argmax(steps, axis=1)
         of_best = steps[np.arange(rows.size), best]
         is_better = np.maximum(of_best, np.where(step < 0, 0.0, slopes)) > own + BETTER
-        gets_slope = is_better & (step >= 0) & (slopes > of_best)
+        gets_slope = is_better & (step >= 0) & (slopes > over_dates(steps))
         self.restore(before, errors, rows[~is_better])
         self.terms.has_slope[rows[gets_slope]] = True
         gets_step = is_better & ~gets_slope

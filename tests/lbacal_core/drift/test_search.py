@@ -146,9 +146,20 @@ def test_slopes_of_a_few_paths_do_not_move_those_of_all_others():
 
 def test_fewer_months_than_a_year_still_show_a_step():
     series = _draw(np.random.default_rng(11), years=0.5)
-    series.values[2, series.time_unix >= 0.3 * YEAR_S, 0] += 0.06
+    series.values[2, series.time_unix >= 0.3 * YEAR_S, 0] += 0.07
     found = search_series(series)
     assert np.isfinite(found.terms.dates).sum(axis=1).tolist() == [int(k == 2) for k in range(24)]
+
+
+def test_a_slope_is_rarely_a_step_although_a_step_may_choose_its_date():
+    """By the best of all dates four of these eight had stepped."""
+    ramps = 0
+    for seed in range(8):
+        series = _draw(np.random.default_rng([20, seed]), years=3)
+        series.values[2, :, 0] -= (0.004 * series.time_unix / YEAR_S).astype(np.float32)
+        found = search_series(series)
+        ramps += np.flatnonzero(found.terms.has_slope).tolist() == [2]
+    assert ramps >= 6
 
 
 def test_the_noise_of_events_does_not_contain_the_season():
