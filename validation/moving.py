@@ -35,6 +35,7 @@ from service.logs import configure_logs
 from service.scheduler import look_for_due_work
 from service.storage.changes import IN_FORCE, STEP, Change
 from service.storage.migration import upgrade
+from service.usecases.gate import through_common_cable
 from service.wire.bodies import ChangeBody
 from validation.loop import Service
 from validation.machinery.claims import Found, mean_of, rate_of
@@ -221,14 +222,14 @@ def _ask(factory: Factory, path: Scope, at: float) -> tuple[Floats, Floats] | No
 
 
 def _ask_mean(factory: Factory, dipole: str | None, at: float) -> tuple[Floats, Floats] | None:
-    """The same of the station's reference chain."""
+    """The same of the station's reference chain, without its cable: whoever is dead takes his cable with him."""
     scope = Scope(STATION)
     with factory.database.read() as stores:
         promotion = stores.ledger.decisive([scope], round(at * 1e6), None).get(scope)
         if promotion is None or promotion.calibration is None:
             return None
-        curves = stores.versions.get(promotion.calibration).curves
-    return _values(next(one for one in curves if one.dipole == dipole))
+        version = stores.versions.get(promotion.calibration)
+    return _values(through_common_cable(version, str(dipole)))
 
 
 def _values(curve: CalibrationCurve) -> tuple[Floats, Floats] | None:
