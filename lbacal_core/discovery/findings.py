@@ -147,10 +147,9 @@ class StationSearch:
         return max(likely, key=lambda one: one.gain)
 
     def _say(self, before: FittedModel, one: ScoredSentence, significant: Sequence[Score]) -> Candidate | None:
-        """The model with a sentence, where that is likelier than every cause."""
+        """The model with a sentence, where that is likelier than every cause by their scores."""
         linear, least = before.linear, 2.0 * max(CERTAIN, -float(np.log(self.alpha)))
-        beside = [_gain_beyond_chance(score) + 2.0 * self.policy.likelier for score in significant]
-        if one.gain < max([least, *beside]):
+        if one.gain < max([least, *map(_gain_beyond_chance, significant)]):
             return None
         gated = score_gated(linear, [one.target], one, self._choices(one.target))
         one = refine_sentence(linear, max(gated, key=lambda one: one.gain), self.policy)
@@ -213,8 +212,13 @@ def _compare(found: Sequence[Candidate], sentences: Sequence[ScoredSentence]) ->
 
 
 def _gain_beyond_chance(score: Score) -> float:
-    """Gain in chi^2 beyond what the best of all templates, targets and causes gains by chance."""
-    return score.z**2 - 2.0 * float(np.log(score.trials * score.causes))
+    """Gain in chi^2 beyond chance, as of a sentence."""
+    return score.z**2 - _chance_of(score)
+
+
+def _chance_of(score: Score) -> float:
+    """Gain in chi^2 that the best of all templates, targets and causes has by chance."""
+    return 2.0 * float(np.log(score.trials * score.causes))
 
 
 def _is_possible(model: FittedModel) -> bool:
@@ -229,12 +233,13 @@ def _rivals(scores: Sequence[Score], policy: Policy) -> list[Score]:
 
 
 def _fit(before: FittedModel, score: Score, policy: Policy) -> Candidate | None:
-    fitted = refit_over_noise(before, refine(before.linear, score, policy))
+    hypothesis = refine(before.linear, score, policy)
+    fitted = refit_over_noise(before, hypothesis)
     if fitted is None:
         return None
     model, over_noise = fitted
-    gain = gain_in_chi_squared(before, model)
-    return Candidate(score, model, gain + over_noise - 2 * float(np.log(score.trials)))
+    gain = gain_in_chi_squared(before, model) + over_noise + hypothesis.over_templates
+    return Candidate(score, model, gain - _chance_of(score))
 
 
 def chi_squared_of(before: FittedModel, after: FittedModel) -> tuple[float, float, int]:

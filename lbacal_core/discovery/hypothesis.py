@@ -48,6 +48,8 @@ class Hypothesis:
         Standard deviation of the size for this template.
     template_sigma
         Scatter of the size among the templates that the data leave open, as a fraction of the size.
+    over_templates
+        Gain in chi^2 of the mean likelihood over finer templates about this one beyond that of this one: 0 or less.
     """
 
     cause: Cause
@@ -56,6 +58,7 @@ class Hypothesis:
     size: float
     sigma: float = np.inf
     template_sigma: float = 0.0
+    over_templates: float = 0.0
 
     @property
     def uncertainty(self) -> float:

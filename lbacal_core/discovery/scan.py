@@ -563,6 +563,7 @@ def refine(model: LinearModel, score: Score, policy: Policy) -> Hypothesis:
 
     A scan tries hours, dates and indices on a grid; `refine` scores finer templates about the best one. Templates that
     fit nearly as well have other sizes: the scatter of these sizes, weighed with the likelihoods, is part of the error.
+    The likelihood of the cause is the mean over them, of which the best is one.
     """
     cause = score.cause
     conditions = model.station.conditions
@@ -587,4 +588,7 @@ def refine(model: LinearModel, score: Score, policy: Policy) -> Hypothesis:
     change = size * np.concatenate(strengths)
     weight = np.exp(0.5 * (gain - gain[best])) * (np.sign(change) == np.sign(change[best]))
     scatter = np.sqrt(weight @ (change / change[best] - 1.0) ** 2 / weight.sum())
-    return Hypothesis(cause, found[best], score.target, float(size[best]), template_sigma=float(scatter))
+    of_all = 2.0 * float(np.log(np.mean(np.exp(0.5 * (gain - gain[best])))))
+    return Hypothesis(
+        cause, found[best], score.target, float(size[best]), template_sigma=float(scatter), over_templates=of_all
+    )
