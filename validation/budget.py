@@ -124,6 +124,6 @@ def judge(rows: Sequence[Row]) -> list[Found]:
 
 
 PARTS = tuple(
-    Part(name, partial(tell_campaign, name, SETTINGS), judge, count, headlines=("own_2",))
-    for name, count in (("models", 400), ("measured", 400))
+    Part(name, partial(tell_campaign, name, SETTINGS), judge, 400, headlines=headlines)
+    for name, headlines in (("models", ()), ("measured", ("own_2",)))
 )
