@@ -130,8 +130,7 @@ class Moving:
         """When C is asked for: around the first change, and far from all."""
         first = self.moves[0].date
         end = first + (YEAR_S if self.moves[0].kind == "dead" else 0.0)
-        middle = START_2014 + 0.5 * YEARS * YEAR_S
-        far = end + FAR_S if first < middle else first - FAR_S
+        far = end + FAR_S if end + FAR_S < START_2014 + YEARS * YEAR_S else first - FAR_S
         return {"before": first - NEAR_S, "after": end + NEAR_S, "far": far}
 
     def paths(self) -> list[Scope]:

@@ -48,7 +48,9 @@ def spectra(
     url: Annotated[
         str | None, typer.Option(help="Send the spectra to this service as well (key: LBACAL_API_KEY).")
     ] = None,
-    dask: Annotated[str | None, typer.Option(help="Address of a dask scheduler; LBACAL_DASK by default.")] = None,
+    dask: Annotated[
+        str | None, typer.Option(help="Address of a dask scheduler, or local; LBACAL_DASK by default.")
+    ] = None,
 ) -> None:
     """Clean and average raw antenna traces to background spectra, one spectrum a trace.
 

@@ -22,6 +22,8 @@ METHOD = 2
 """Raised when the same traces and settings give other spectra, so that kept parts are made anew."""
 
 RETRIES = 5
+LOCAL = "local"
+"""In the place of an address: dask's workers are processes of this machine, one a core."""
 
 
 class TraceBatch:
@@ -83,7 +85,7 @@ def reduce_station_event(item: Work, settings: CleaningSettings) -> list[dict[st
 def _run_on_dask(
     work: Sequence[Work], settings: CleaningSettings, address: str
 ) -> Iterator[tuple[Work, list[dict[str, Any]] | str]]:
-    """Send station events to a dask scheduler; events of a worker that dies go to another one.
+    """Send station events to a dask scheduler, or to workers started here; events of a worker that dies go to another.
 
     The workers read the files themselves, under the same paths. Results arrive as they finish and are kept at once.
     """
@@ -91,7 +93,8 @@ def _run_on_dask(
         raise MissingExtraError(f"the dask scheduler {address}", "dask")
     from distributed import Client, as_completed
 
-    with Client(address) as client:
+    here = {"threads_per_worker": 1, "dashboard_address": None}
+    with Client(**here) if address == LOCAL else Client(address) as client:
         futures = {
             client.submit(reduce_station_event, item, settings, retries=RETRIES, pure=False): item for item in work
         }

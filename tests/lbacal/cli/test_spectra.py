@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lbacal.cli.trace_batch import TraceBatch, Work
+from lbacal.cli.trace_batch import LOCAL, TraceBatch, Work
 from lbacal.client import Client
 from lbacal_core.spectra.spectra import read_spectra
 from lbacal_core.traces.background import CleaningSettings
@@ -327,3 +327,11 @@ def test_a_dask_worker_killed_midway_loses_nothing(work: list[Work], tmp_path: P
         killer.join()
     assert len(results) == EVENTS
     assert results == here
+
+
+@pytest.mark.long
+def test_dask_on_this_machine_measures_the_same(work: list[Work], tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    here, there = (TraceBatch(work, CleaningSettings(), tmp_path / name) for name in ("here", "there"))
+    of_dask = {event.event_id: result for event, result, _ in there.run(LOCAL)}
+    assert of_dask == {event.event_id: result for event, result, _ in here.run()}
