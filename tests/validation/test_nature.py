@@ -15,7 +15,7 @@ from validation.hidden.one_effect import Outcome
 from validation.hidden.pulls import SCOPES, measure_pulls
 from validation.hidden.worlds import OWN, Finder, alternatives, draw, draw_antennas
 from validation.machinery.records import claims_of
-from validation.nature import ALIKE, NOISE_SNRS
+from validation.nature import ALIKE, NOISE_SNRS, try_waves
 
 
 def test_a_drawn_sky_or_antenna_is_neither_the_finders_nor_among_the_models_it_knows() -> None:
@@ -180,3 +180,12 @@ def test_efficiencies_are_judged_at_every_size_of_an_effect_that_looks_like_nois
     rows = [row(cause, snr, 0.9 if snr < 100 else 0.5) for cause, _ in ALIKE for snr in NOISE_SNRS]
     claims = {claim.key: (claim.found, claim.n) for claim in claims_of("nature", "like-noise", rows)}
     assert claims == {"kept_10": (pytest.approx(0.9), 3), "kept_30": (pytest.approx(0.9), 3), "kept_100": (0.5, 3)}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [7, 61])
+def test_a_gain_along_utc_is_no_interference_that_chose_its_hours(seed: int) -> None:
+    """The best of 900 hours and indices was held against a sentence that pays for each of its alternatives."""
+    row = try_waves(seed)
+    assert (row["along"], row["given"]) == ("utc", False)
+    assert (row["verdict"], row["named"], row["axis"]) == ("unexplained", [], "utc")

@@ -79,6 +79,7 @@ def test_the_scatter_of_the_size_is_that_of_the_likelihood_over_the_templates(sp
     assert found.size == pytest.approx(sizes[chosen], rel=1e-3)
     assert found.template_sigma == pytest.approx(expected, rel=1e-3)
     assert found.template_sigma > 0.01
+    assert found.over_templates == pytest.approx(2 * np.log(weight.mean()), rel=1e-3)
 
 
 def test_a_cause_of_one_template_keeps_it(clean, simulation):
@@ -86,7 +87,7 @@ def test_a_cause_of_one_template_keeps_it(clean, simulation):
     drift = NAMED["gain_drift"]
     score = Score(drift, Template(), list_targets(model.station)[0], 5.0, 0.1, events=300)
     found = refine(model, score, Policy())
-    assert (found.template, found.size, found.template_sigma) == (Template(), 0.1, 0.0)
+    assert (found.template, found.size, found.template_sigma, found.over_templates) == (Template(), 0.1, 0.0, 0.0)
 
 
 @pytest.mark.long
