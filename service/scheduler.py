@@ -41,7 +41,7 @@ def look_again(factory: Factory) -> list[int]:
 
 
 def run_scheduler(factory: Factory, stop: threading.Event) -> None:
-    """Look for due work now, which makes up for missed days, and then daily until asked to stop."""
+    """Look for due work once nothing arrives, which makes up for missed days, and then daily until asked to stop."""
 
     def look() -> None:
         persist(lambda: wait_for_quiet(factory, stop), stop)
