@@ -90,7 +90,7 @@ def _run_on_dask(
     The workers read the files themselves, under the same paths. Results arrive as they finish and are kept at once.
     """
     if find_spec("distributed") is None:
-        raise MissingExtraError(f"the dask scheduler {address}", "dask")
+        raise MissingExtraError(f"work on dask ({address})", "dask")
     from distributed import Client, as_completed
 
     here = {"threads_per_worker": 1, "dashboard_address": None}
