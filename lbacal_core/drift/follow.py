@@ -1,8 +1,8 @@
 """Everything that is known of an array over time: every path, every station's polarisations, and the whole.
 
-A path is compared with the median of its station's paths of the same polarisation, which see the same sky in the same
-event; these medians are compared with that of the stations; and that one is the whole. So a step of one path, one of a
-station, and what all of them share are told apart, and each is reported once.
+A path is compared with the median of its station's other paths of the same polarisation, which see the same sky in the
+same event; the medians of stations are compared with one another; and that of all is the whole. So a step of one path,
+one of a station, and what all of them share are told apart, and each is reported once.
 """
 
 from __future__ import annotations

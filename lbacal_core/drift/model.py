@@ -315,17 +315,31 @@ def correlate_modes(y: Floats, events: Floats) -> Floats:
     return np.asarray(product / np.maximum(np.outer(size, size), 1e-300) + 1e-6 * np.eye(len(y)))
 
 
-# What the series of a group have in common in an event: their median.
+# What the series of a group have in common in an event: their median. A series is compared with the median of its
+# companions without itself: a median that holds it hides a part of its noise, which makes errors too small.
 
 FEWEST_COMPANIONS = 3
 """The median of fewer series is too much the series itself."""
 
 
-def median_of_members(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Median of the series of a group at every event, shape (event, mode); NaN where fewer than three are known."""
-    median = median_over(values, axis=0)
-    median[np.isfinite(values).sum(axis=0) < FEWEST_COMPANIONS] = np.nan
-    return median
+def median_of_members(values: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Median of the series of a group at every event, and of the others: shapes (event, mode), (series, event, mode).
+
+    NaN where fewer than three are known.
+    """
+    ordered = np.sort(values, axis=0)  # NaN last
+    known = np.isfinite(values).sum(axis=0)
+    known[known < FEWEST_COMPANIONS] = 0
+    below, lower, upper, above = (
+        np.where(known, np.take_along_axis(ordered, np.clip(at, 0, len(values) - 1)[None], axis=0)[0], np.nan)
+        for at in (known // 2 - 1, (known - 1) // 2, known // 2, known // 2 + 1)
+    )
+    is_even = known % 2 == 0
+    of_low = np.where(is_even, upper, (upper + above) / 2)
+    of_high = np.where(is_even, lower, (below + lower) / 2)
+    of_middle = np.where(is_even, upper, (below + above) / 2)
+    others = np.where(values < lower, of_low, np.where(values > lower, of_high, of_middle))
+    return ((lower + upper) / 2).astype(np.float32), others.astype(np.float32)
 
 
 def median_over(values: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
@@ -376,6 +390,8 @@ class SeriesModel:
         Standard deviation of each date, and both ends of the interval that holds 95 %, shape (3, series, step).
     median
         Shape (group, event, mode).
+    common
+        Median of the other series of the group, shape (series, event, mode).
     scale
         Noise of one event, shape (mode, series).
     lasting
@@ -401,6 +417,7 @@ class SeriesModel:
         level = np.nan_to_num(median_over(series.values, axis=1))
         self.model = np.repeat(level[:, None, :], events, axis=1)
         self.median = np.zeros((int(series.group.max()) + 1, events, modes), dtype=np.float32)
+        self.common = np.zeros_like(self.series.values)
         self.is_new = np.ones(len(self.median), dtype=bool)
         self.cut = find_threshold(false_alarms, count * len(self.months), modes)
         self.lasting: tuple[Lasting, ...] = ()
@@ -412,8 +429,8 @@ class SeriesModel:
         """Remove medians, average months, estimate the noise, and fit."""
         for g in np.flatnonzero(self.is_new):
             members = self.series.group == g
-            self.median[g] = median_of_members(self.series.values[members] - self.model[members])
-        self.rest = self.series.values - self.median[self.series.group]
+            self.median[g], self.common[members] = median_of_members(self.series.values[members] - self.model[members])
+        self.rest = self.series.values - self.common
         self.is_known = np.isfinite(self.rest[..., 0])
         known = self.is_known[..., None]
         off = np.where(known, self.rest - self.model, 0.0)

@@ -1,12 +1,13 @@
 """Which slopes and steps the series of one kind have: added one by one, the most significant first.
 
-A series is a path against the median of its group, or a group against the median of all. A round removes the medians,
-averages months, fits all series, and scores a slope and a step at every month in each of them, everything that the fit
-describes profiled out. What passes the threshold enters the model; a step gets its date from events; what is no longer
-significant beside the rest leaves, and each term may give its place to a better one: the first step that is added to a
-path with several is a compromise between them. Medians are taken again of what the model leaves, so that a step of one
-path in a small group does not appear in the others; for the same reason a round adds nothing that the best of its group
-could cause. A step has a date to choose, a slope has none: one is preferred to the other by the mean over the dates.
+A series is a path against the median of the others of its group, or a group against that of the other groups. A round
+removes the medians, averages months, fits all series, and scores a slope and a step at every month in each of them,
+everything that the fit describes profiled out. What passes the threshold enters the model; a step gets its date from
+events; what is no longer significant beside the rest leaves, and each term may give its place to a better one: the
+first step that is added to a path with several is a compromise between them, and its date is that of medians in which
+others still stepped. Medians are taken again of what the model leaves, so that a step of one path in a small group does
+not appear in the others; for the same reason a round adds nothing that the best of its group could cause. A step has a
+date to choose, a slope has none: one is preferred to the other by the mean over the dates.
 
 A score is the sum of squares of the scores of the modes, made uncorrelated: chi-square with one degree a mode. The
 threshold is that of the number of series times months, so that `FALSE_ALARMS` are expected in all of them together.
@@ -162,12 +163,13 @@ class _Search(SeriesModel):
         best = np.argmax(steps, axis=1)
         of_best = steps[self.all, best]
         top = np.maximum(of_best, slopes)
+        size = top * self.scale[0] ** 2  # what a series does not describe yet is in its noise
         of_group = np.zeros(len(self.median))
-        np.maximum.at(of_group, self.series.group, top)
-        is_alike = (top > self.cut) & (top >= ALIKE * of_group[self.series.group])
+        np.maximum.at(of_group, self.series.group, size)
+        is_alike = (top > self.cut) & (size >= ALIKE * of_group[self.series.group])
         alike = np.bincount(self.series.group, weights=is_alike, minlength=len(self.median))
         share = np.minimum(self.leakage * alike, MOST_LEAKAGE) ** 2
-        is_added = (top > self.cut) & (top >= (share * of_group)[self.series.group])
+        is_added = (top > self.cut) & (size >= (share * of_group)[self.series.group])
         gets_slope = is_added & (slopes >= over_dates(steps))
         self.terms = replace(self.terms, has_slope=self.terms.has_slope | gets_slope)
         rows = np.flatnonzero(is_added & ~gets_slope)
@@ -175,9 +177,9 @@ class _Search(SeriesModel):
         return self._renew(is_added)
 
     def _exchange(self) -> bool:
-        """Take out the terms of series with several in turn, and put in its place what explains more, if any does."""
+        """Take out each term of a series in turn, and put in its place what explains more, if any does."""
         is_free = np.isfinite(self.terms.dates) & ~self.terms.is_known
-        asked = (is_free.sum(axis=1) + self.terms.has_slope > 1) & ~self.was_settled
+        asked = (np.any(is_free, axis=1) | self.terms.has_slope) & ~self.was_settled
         self.was_settled |= asked
         changed = np.zeros_like(asked)
         for j in range(-1, is_free.shape[1]):
@@ -188,22 +190,21 @@ class _Search(SeriesModel):
 
     def _replace_term(self, rows: NDArray[np.int64], step: int) -> NDArray[np.bool_]:
         """Replace a step of series, or with -1 their slope, where another term explains more; where it did."""
-        own = self.own_chi2()[1][rows] if step < 0 else self.own_chi2()[0][rows, step]
-        before, errors = self.terms, self.errors.copy()
+        before, errors, cost = self.terms, self.errors.copy(), self.find_cost(rows)
+        of_slope = self.own_chi2()[1][rows] if step < 0 else 0.0
         out = np.zeros_like(before.is_known)
         if step >= 0:
             out[rows, step] = True
         self.remove(out, np.isin(self.all, rows) & (step < 0))
         self.fit_terms(rows)
         steps, slopes = self.scores(rows)
-        best = np.argmax(steps, axis=1)
-        of_best = steps[np.arange(rows.size), best]
-        is_better = np.maximum(of_best, np.where(step < 0, 0.0, slopes)) > own + BETTER
-        gets_slope = is_better & (step >= 0) & (slopes > over_dates(steps))
-        self.restore(before, errors, rows[~is_better])
+        gets_slope = (step >= 0) & (slopes > over_dates(steps))
         self.terms.has_slope[rows[gets_slope]] = True
-        gets_step = is_better & ~gets_slope
-        self.put_steps(rows[gets_step], best[gets_step])
+        gets_step = ~gets_slope & np.any(steps > 0.0, axis=1) & (over_dates(steps) > of_slope)
+        self.put_steps(rows[gets_step], np.argmax(steps, axis=1)[gets_step])
+        self.fit_terms(rows)
+        is_better = self.find_cost(rows) < cost - BETTER
+        self.restore(before, errors, rows[~is_better])
         self.fit_terms(rows)
         return np.asarray(is_better)
 
@@ -221,8 +222,8 @@ class _Search(SeriesModel):
     def _renew(self, changed: NDArray[np.bool_]) -> bool:
         """Medians of groups with a changed series are to be taken again; whether there is any."""
         self.fit_terms(np.flatnonzero(changed))
-        self.was_settled &= ~changed
         self.is_new = np.bincount(self.series.group, weights=changed, minlength=len(self.median)) > 0
+        self.was_settled &= ~self.is_new[self.series.group]
         return bool(np.any(changed))
 
     def _begin_again(self) -> bool:

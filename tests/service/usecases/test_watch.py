@@ -224,7 +224,7 @@ def test_c_in_effect_was_the_mean_over_a_step_that_was_found_and_nothing_said_so
             return [curve["flag_reason"], curve["flag"][20], alarm["sentence"][-26:], change["refitted"], page, known]
 
         sentence = (
-            "CS002 antenna 2 changed on 2015-04-11 (found, not yet refitted): C in effect is the mean over the change"
+            "CS002 antenna 2 changed on 2015-04-10 (found, not yet refitted): C in effect is the mean over the change"
         )
         assert told() == [sentence, "uncertain", " (found, not yet refitted)", False, True, [sentence]]
         before = http.get("/v1/calibrations/effective", params={"at": "2014-06-01", **path}).json()["curves"][0]
