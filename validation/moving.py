@@ -195,7 +195,7 @@ def _pass(service: Service, seed: int) -> Row:
     with factory.database.read() as stores:
         changes = [one.change for one in stores.changes.kept(STATION) if one.decision == IN_FORCE]
     matched = [(change, _match(change, moving.moves)) for change in changes]
-    before, after = (_ask_mean(factory, moving.paths()[0].dipole, dates[when]) for when in ("before", "after"))
+    before, after = (ask_mean(factory, moving.paths()[0].dipole, dates[when]) for when in ("before", "after"))
     return {
         "kind": kind, "who": who, "antennas": antennas, "nights": nights, "pulls": pulls,
         "station": None if before is None or after is None else _pull(*after, before[0]),
@@ -220,7 +220,7 @@ def _ask(factory: Factory, path: Scope, at: float) -> tuple[Floats, Floats] | No
         return None
 
 
-def _ask_mean(factory: Factory, dipole: str | None, at: float) -> tuple[Floats, Floats] | None:
+def ask_mean(factory: Factory, dipole: str | None, at: float) -> tuple[Floats, Floats] | None:
     """The same of the station's reference chain, without its cable: whoever is dead takes his cable with him."""
     scope = Scope(STATION)
     with factory.database.read() as stores:

@@ -46,9 +46,13 @@ class SlowChange:
 
     def depart(self, time_unix: float, span_unix: tuple[float, float], late_s: float = 0.0) -> float:
         """Where it stands beside its mean over a span, in units of `size`; of one that is late by some time."""
-        years = (np.append(np.linspace(*span_unix, POINTS), time_unix) - self.date_unix - late_s) / YEAR_S
-        along = np.cos(2.0 * np.pi * years) if self.is_season else np.maximum(years, 0.0)
+        along = self.follow(np.append(np.linspace(*span_unix, POINTS), time_unix) - late_s)
         return float(along[-1] - along[:-1].mean())
+
+    def follow(self, time_unix: Floats) -> Floats:
+        """Where it stands at some times, in units of `size`: 0 before a ramp, and in the mean of a season."""
+        years = (time_unix - self.date_unix) / YEAR_S
+        return np.asarray(np.cos(2.0 * np.pi * years) if self.is_season else np.maximum(years, 0.0))
 
 
 def spread_over_band(modes: Sequence[float], frequency_mhz: Floats) -> Floats:

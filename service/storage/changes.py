@@ -122,7 +122,8 @@ class Cut:
     """A date at which the windows of an antenna are cut, both dipoles alike; of all of a station where it is None.
 
     `dipoles` are those that changed, None for both, and `power` is theirs after it over that before; None where the
-    size of the change is not known. `shape` are the Legendre coefficients 1 and 2 of ln of it over the band.
+    size of the change is not known. `shape` are the Legendre coefficients 1 and 2 of ln of it over the band. With
+    `slow` it is no step: C follows it, and no window is cut.
     """
 
     station: str
@@ -131,11 +132,22 @@ class Cut:
     dipoles: tuple[str, ...] | None = None
     power: float | None = None
     shape: tuple[float, float] = (0.0, 0.0)
+    slow: SlowChange | None = None
 
     def is_bridged_by(self, promotion: Promotion) -> bool:
         """Whether a version answers on both sides of it."""
         ends_later = promotion.valid_to is None or promotion.valid_to > self.date
         return promotion.calibration is not None and promotion.valid_from < self.date and ends_later
+
+    def begins_before(self, until: Instant) -> bool:
+        """Whether it shows before an instant: a season has no beginning."""
+        return self.date < until or (self.slow is not None and self.slow.is_season)
+
+    def log_power(self, time_unix: Floats, modes: Floats) -> Floats:
+        """Ln of the power over what it was before, shape (time, freq); `modes` are the Legendre polynomials 1 and 2."""
+        if self.slow is not None:
+            return -2.0 * np.outer(self.slow.follow(time_unix), self.slow.size + self.slow.shape @ modes)
+        return np.outer(time_unix >= self.date / SECOND_US, np.log(self.power or 1.0) + self.shape @ modes)
 
     @property
     def warning(self) -> str:
@@ -209,8 +221,22 @@ class KeptChange:
         if one.station is None:
             return []
         cut = Cut(one.station, None, one.date, None, power, (-2.0 * (one.tilt or 0.0), -2.0 * (one.curvature or 0.0)))
-        who = [replace(cut, antenna=number, dipoles=one.dipoles_of(number)) for number in one.antennas]
-        return who if one.paths else [cut]
+        return self._of_each(cut) if one.paths else [cut]
+
+    @property
+    def rank(self) -> tuple[Instant, int]:
+        """The last of a kind counts: the one that a person spoke of last, else the newest."""
+        return 0 if self.said is None else self.said.at, self.number
+
+    @property
+    def follows(self) -> list[Cut]:
+        """The ramps and seasons of single antennas, which are taken out of the means that these are in."""
+        cut = Cut(str(self.change.station), None, self.change.date, slow=self.slow)
+        return [] if self.slow is None else self._of_each(cut)
+
+    def _of_each(self, cut: Cut) -> list[Cut]:
+        one = self.change
+        return [replace(cut, antenna=number, dipoles=one.dipoles_of(number)) for number in one.antennas]
 
     @property
     def slow(self) -> SlowChange | None:
@@ -284,6 +310,12 @@ class ChangeStore(Store):
         found = [cut for one in self.kept(station, as_of) for cut in one.cuts]
         inside = [cut for cut in found if (since is None or cut.date > since) and (until is None or cut.date < until)]
         return sorted(inside, key=lambda cut: (cut.station, -1 if cut.antenna is None else cut.antenna, cut.date))
+
+    def of_fit(self, station: str | None, until: Instant) -> tuple[Cut, ...]:
+        """List what changed of a station, or of all, before the end of a window, slow changes of single antennas too."""
+        kept = sorted(self.kept(station), key=lambda one: one.rank)
+        slow = {(one.change.kind, cut.station, cut.antenna, cut.dipoles): cut for one in kept for cut in one.follows}
+        return *self.cuts(station, until=until), *(cut for cut in slow.values() if cut.begins_before(until))
 
     def last_act(self, station: str | None, since: Instant, until: Instant) -> list[int]:
         """How many sources of changes in a window ended, and the number of the last decision: nothing where none did.

@@ -287,13 +287,10 @@ def _of(of_antenna: ByAntenna, station: str | None, antenna: int | None) -> list
 
 
 def find_slow(scope: Scope, of_antenna: ByAntenna) -> tuple[KeptChange, ...]:
-    """The ramps and seasons that C of a version follows: its own, its station's and the array's, one of a kind each.
-
-    The one that a person spoke of last counts, else the newest.
-    """
+    """The ramps and seasons that C of a version follows: its own, its station's and the array's, one of a kind each."""
     near = _of(of_antenna, scope.station, scope.antenna)
     own = [one for one in near if one.slow and concerns(one, scope.antenna, scope.dipole)]
-    own.sort(key=lambda one: (0 if one.said is None else one.said.at, one.number))
+    own.sort(key=lambda one: one.rank)
     return tuple({(one.change.kind, one.change.station, not one.change.paths): one for one in own}.values())
 
 

@@ -6,7 +6,7 @@ Nothing is written here: a refit keeps what these functions make, and the dry ru
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import astuple, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -74,12 +74,12 @@ class Wanted:
     @property
     def taken_out(self) -> list[Cut]:
         """The changes that are taken out of a mean, so that it is that of its antennas before they changed."""
-        return [one for one in self.changed if self._is_part(one) and one.power is not None]
+        return [one for one in self.changed if self._is_part(one) and (one.power is not None or one.slow is not None)]
 
     @property
     def cuts(self) -> list[Cut]:
         """Where the window is cut."""
-        inside = [one for one in self.changed if self.since < one.date]
+        inside = [one for one in self.changed if self.since < one.date and one.slow is None]
         return [one for one in inside if one.power is None or not self._is_part(one)]
 
     def _is_part(self, one: Cut) -> bool:
@@ -90,7 +90,7 @@ class Wanted:
     def named(self) -> list[list[Any]]:
         """The hash of these changes."""
         cuts = [[one.station, one.antenna, one.date] for one in self.cuts]
-        return cuts + [[*vars(one).values()] for one in self.taken_out]
+        return cuts + [[*astuple(one)][: None if one.slow else -1] for one in self.taken_out]
 
     @property
     def is_year(self) -> bool:
@@ -339,14 +339,13 @@ def _take_out(whole: FittedCauses, wanted: Wanted, neighbours: Neighbours) -> Fi
     modes = gain_modes(spectra.frequency_mhz)[1:]
     for one in wanted.taken_out:
         for dipole in one.dipoles or np.unique(spectra.dipole).tolist():
-            is_later = (spectra.station == one.station) & (spectra.dipole == dipole)
-            is_later &= spectra.time_unix >= one.date / SECOND_US
-            every = np.unique(spectra.antenna[is_later]).tolist()
+            of_dipole = (spectra.station == one.station) & (spectra.dipole == dipole)
+            every = np.unique(spectra.antenna[of_dipole]).tolist()
             for antenna in every if one.antenna is None else [one.antenna]:
-                rows = is_later & (spectra.antenna == antenna)
+                rows = of_dipole & (spectra.antenna == antenna)
                 behind, _ = neighbours.behind.get((one.station, antenna, dipole), (np.zeros(power.shape[1]), ""))
                 signal = np.maximum(power[rows] - behind, 0.0)
-                power[rows] += signal * np.expm1(-np.log(one.power or 1.0) - one.shape @ modes)
+                power[rows] += signal * np.expm1(-one.log_power(spectra.time_unix[rows], modes))
     return replace(whole, unchanged=power)
 
 
@@ -456,7 +455,7 @@ def read_part(stores: Stores, request: Mapping[str, Any], model: Model, by: str,
 
 def read_fit(stores: Stores, scope: str, of: Scope, window: tuple[Instant, Instant]) -> Wanted:
     """The fit of a window with the model that is adopted and the changes that are in force."""
-    changed = tuple(stores.changes.cuts(of.station, until=window[1]))
+    changed = stores.changes.of_fit(of.station, window[1])
     return Wanted(scope, of, *window, stores.models.during(of.station, *window), "", "", changed)
 
 

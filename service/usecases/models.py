@@ -105,7 +105,7 @@ class Models:
 
         model, cause = _adopt(before, made, body.finding)
         with self.database.read() as stores:
-            changed = tuple(stores.changes.cuts(made.station, until=window[1]))
+            changed = stores.changes.of_fit(made.station, window[1])
             of_window = [one.during(*(edge / 1e6 for edge in window)) for one in (before, model)]
             wanted = [
                 [Wanted(scope, Scope(made.station), *window, one, by, body.reason, changed) for scope in SCOPES]

@@ -22,7 +22,7 @@ from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import name_path, write_change
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.provenance import MODEL_VERSION, hash_content
+from lbacal_core.provenance import DRIFT_VERSION, MODEL_VERSION, hash_content
 from service.storage.alarms import SLOPE, STEP, News
 from service.storage.changes import DRIFT as BY_DRIFT
 from service.storage.changes import LARGEST_DATE_ERROR_US, RAMP, RECORD, SAME_DATE, SEASON, Change, Evidence
@@ -54,7 +54,7 @@ class Watch:
     def name_inputs(self, stores: Stores) -> str | None:
         """The hash of what a report is made from; None where nothing was measured yet."""
         digests, known = stores.sums.digests(DRIFT), sorted(find_hardware_changes(self.instrument).items())
-        return hash_content([digests, known, MODEL_VERSION]) if digests else None
+        return hash_content([digests, known, MODEL_VERSION, DRIFT_VERSION]) if digests else None
 
     def run(self, part: Part, worker: str) -> None:
         """Do a part: follow, keep the report, settle the alarms."""

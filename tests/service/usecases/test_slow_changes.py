@@ -21,7 +21,7 @@ from service.storage.models import Investigation
 from service.usecases.changes import propose
 from service.usecases.watch import read_slow
 from tests.service.conftest import night, served
-from validation.moving import Moved
+from validation.moving import Moved, ask_mean
 
 pytestmark = pytest.mark.long
 
@@ -76,6 +76,9 @@ def test_c_follows_a_ramp_and_a_season_through_the_year(
         for move, path in (*MOVED.items(), (None, STEADY)):
             for at in DATES:
                 assert find_pull(http, campaign, move, path, at) < 2.0, (move, at)
+        means = [ask_mean(factory, "Y", parse_instant("", at) / 1e6) for at in ("2014-07-02", "2015-05-01")]
+        (c, sigma), (later, _) = (one for one in means if one is not None)
+        assert np.max(np.abs(later - c) / sigma) < 0.5, "the station's mean has no eighth of the ramp: 1.8 sigma"
 
         ramp, path = found["ramp", (2, "Y")], (2, "Y")
         early, late = (ask(http, path, at) for at in (DATES[0], DATES[4]))
