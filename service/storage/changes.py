@@ -312,7 +312,7 @@ class ChangeStore(Store):
         return sorted(inside, key=lambda cut: (cut.station, -1 if cut.antenna is None else cut.antenna, cut.date))
 
     def of_fit(self, station: str | None, until: Instant) -> tuple[Cut, ...]:
-        """List what changed of a station, or of all, before the end of a window, slow changes of single antennas too."""
+        """List what changed of a station or of all before a window ends, slow changes of single antennas too."""
         kept = sorted(self.kept(station), key=lambda one: one.rank)
         slow = {(one.change.kind, cut.station, cut.antenna, cut.dipoles): cut for one in kept for cut in one.follows}
         return *self.cuts(station, until=until), *(cut for cut in slow.values() if cut.begins_before(until))
