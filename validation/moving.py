@@ -200,6 +200,7 @@ def _pass(service: Service, seed: int) -> Row:
         "kind": kind, "who": who, "antennas": antennas, "nights": nights, "pulls": pulls,
         "station": None if before is None or after is None else _pull(*after, before[0]),
         "moves": [[m.kind, round(m.date), np.round(m.shape, 4).tolist(), round(m.metres, 2)] for m in moving.moves],
+        "moved": [list(m.where.antennas) for m in moving.moves],
         "found": [[c.paths, round(c.date / 1e6), round(c.sigma / 1e6), m] for c, m in matched],
     }  # fmt: skip
 
