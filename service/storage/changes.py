@@ -27,8 +27,7 @@ from service.errors import NotFoundError
 from service.schema.tables import change, change_decision, change_evidence
 from service.storage.rows import Store, equal, from_row, to_row
 
-STEP, RAMP, SEASON = "step", "ramp", "season"
-KINDS = (STEP, RAMP, SEASON, "course")
+KINDS = STEP, RAMP, SEASON, COURSE = "step", "ramp", "season", "course"
 DRIFT, INVESTIGATION, RECORD, PERSON = "drift", "investigation", "record", "person"
 PROPOSED, IN_FORCE, DISMISSED = "proposed", "in_force", "dismissed"
 NOT_REFITTED = "found, not yet refitted"

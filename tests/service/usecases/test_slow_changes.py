@@ -159,3 +159,16 @@ def test_the_drift_that_an_investigation_finds_is_proposed_as_a_ramp(instrument:
     ((change, evidence),) = propose(made, instrument)
     assert (change.kind, change.paths, change.date, evidence.source) == ("ramp", ((1, "X"),), 0, "investigation")
     assert change.size == pytest.approx(1.05**-0.5 - 1.0), "C^2 is proportional to 1 / gain"
+
+
+def test_what_follows_the_season_and_is_no_gain_is_proposed_as_a_course(instrument: Instrument) -> None:
+    """It is refused as a cause, since it acts along the date, and stood in no list of changes either."""
+    where, size = {"antennas": [1], "dipoles": ["X"]}, {"value": 0.4, "sigma": 0.05}
+    finding = {
+        "cause": "resonance_shift", "parameters": {"follows": "season"}, "where": where, "size": size,
+        "significance_sigma": 8.0,
+    }  # fmt: skip
+    made = Investigation("id", "CS001", 5, 10, {}, {"findings": [finding]}, 1, "", "")
+    ((change, evidence),) = propose(made, instrument)
+    assert (change.kind, change.paths, change.date, change.size) == ("course", ((1, "X"),), 5, None)
+    assert evidence.source == "investigation"
