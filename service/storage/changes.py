@@ -217,10 +217,7 @@ class KeptChange:
             return []
         power = None if one.size is None else (1.0 + one.size) ** -2.0  # C^2 is proportional to 1 / power
         power = None if power is None or abs(math.log(power)) > LARGEST_TAKEN_OUT else power
-        if one.station is None:
-            return []
-        cut = Cut(one.station, None, one.date, None, power, (-2.0 * (one.tilt or 0.0), -2.0 * (one.curvature or 0.0)))
-        return self._of_each(cut) if one.paths else [cut]
+        return self._of_each(power=power, shape=(-2.0 * (one.tilt or 0.0), -2.0 * (one.curvature or 0.0)))
 
     @property
     def rank(self) -> tuple[Instant, int]:
@@ -229,13 +226,16 @@ class KeptChange:
 
     @property
     def follows(self) -> list[Cut]:
-        """The ramps and seasons of single antennas, which are taken out of the means that these are in."""
-        cut = Cut(str(self.change.station), None, self.change.date, slow=self.slow)
-        return [] if self.slow is None else self._of_each(cut)
+        """The ramps and seasons of antennas, or of a station, which are taken out of the means that these are in."""
+        return [] if self.slow is None else self._of_each(slow=self.slow)
 
-    def _of_each(self, cut: Cut) -> list[Cut]:
+    def _of_each(self, **what: Any) -> list[Cut]:
         one = self.change
-        return [replace(cut, antenna=number, dipoles=one.dipoles_of(number)) for number in one.antennas]
+        if one.station is None:
+            return []
+        cut = Cut(one.station, None, one.date, **what)
+        who = [replace(cut, antenna=number, dipoles=one.dipoles_of(number)) for number in one.antennas]
+        return who if one.paths else [cut]
 
     @property
     def slow(self) -> SlowChange | None:
