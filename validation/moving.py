@@ -325,16 +325,17 @@ def judge(rows: Sequence[Row]) -> list[Found]:
 
 
 def judge_means(rows: Sequence[Row]) -> list[Found]:
-    """A campaign is one draw: its largest departure of two dates and three channels counts."""
+    """A campaign is one draw: its largest departure of two dates and three channels counts.
+
+    An antenna that is dead for a year takes its events with it: in four, 0.4 sigma by chance alone.
+    """
     told = [row for row in rows if len(row["station"]) == 2]
-    still = [bool(np.abs(row["station"]).max() < STILL) for row in told]
-    of_dead = [one for one, row in zip(still, told, strict=True) if row["kind"] == "dead"]
-    of_several = [one for one, row in zip(still, told, strict=True) if row["kind"] == "several"]
+    still = {row["seed"]: bool(np.abs(row["station"]).max() < STILL) for row in told}
     unplanted = [any(one[3] is None for one in row["found"]) for row in rows if row["kind"] != "several"]
+    kinds = {"mean": {*SINGLE} - {"dead"}, "mean_several": {"several"}, "mean_dead": {"dead"}}
+    groups = {key: [still[row["seed"]] for row in told if row["kind"] in of] for key, of in kinds.items()}
     return [
-        rate_of("mean", sum(still), len(still)),
-        rate_of("mean_dead", sum(of_dead), len(of_dead)),
-        rate_of("mean_several", sum(of_several), len(of_several)),
+        *(rate_of(key, sum(of), len(of)) for key, of in groups.items()),
         rate_of("unplanted_one", sum(unplanted), len(unplanted)),
     ]
 

@@ -46,10 +46,11 @@ def test_the_judgement_counts_what_was_not_right(row: Row) -> None:
 
 def test_an_antenna_that_is_dead_for_a_year_does_not_move_the_mean_of_its_station() -> None:
     """The mean was that of the other antennas then, and between two fits by its departure from them."""
-    row = compare_means(5)
+    row = {"seed": 5, **compare_means(5)}
     assert (row["kind"], len(row["station"])) == ("dead", 2)
     assert np.abs(row["station"]).max() < 0.3
-    moved = {**row, "station": [[0.1] * 3, [0.1, 0.1, -0.4]], "found": [[[[0, "X"]], 1, 1, None]]}
-    found = {one.key: one for one in judge_means([row, moved, {**row, "kind": "several"}])}
-    assert [found[key].found for key in ("mean", "mean_dead", "mean_several", "unplanted_one")] == [2 / 3, 0.5, 1, 0.5]
+    moved = {"station": [[0.1] * 3, [0.1, 0.1, -0.4]], "found": [[[[0, "X"]], 1, 1, None]]}
+    others = [{**row, "seed": 6, "kind": "several"}, {**row, "seed": 7, "kind": "step", **moved}]
+    found = {one.key: one for one in judge_means([row, *others])}
+    assert [found[key].found for key in ("mean", "mean_dead", "mean_several", "unplanted_one")] == [0, 1, 1, 0.5]
     assert found.keys() == set(asked_of("moving", "mean"))
