@@ -206,7 +206,7 @@ def _write(kept: Sequence[_Kept], *, is_mean: bool) -> KeptLines:
         [one.owner for one in kept], np.array([one.events for one in kept]), good, good,
         np.array([[one.mean] * channels for one in kept]), nothing, np.zeros((paths, 2 * channels, 2 * channels)),
         nothing, several, several, np.zeros(paths), nothing, np.array([one.digest for one in kept]), 100.0,
-        members=MemberLines(np.full(len(members), STATION), np.array(members), each, each, none, none)
+        members=MemberLines(np.full(len(members), STATION), np.array(members), each, each, none + 1.0, none)
         if is_mean else None,
     )  # fmt: skip
 

@@ -9,9 +9,12 @@ that what is told must be right within its statistical error.
 
 from __future__ import annotations
 
+import copy
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +53,8 @@ KINDS, SLOW = (*SINGLE, "several"), ("ramp", "season")
 NEAR_S, FAR_S = 40 * DAY_S, 300 * DAY_S
 """How far from a change C is asked for."""
 NIGHTS = 4
+STILL = 0.3
+"""Standard deviations of a station's C within which it does not move."""
 SERVICE: dict[str, Any] = {"nightly_investigations": False, "gate_error": 0.5, "log_level": "error", "quiet_s": 0.0}
 
 
@@ -111,9 +116,10 @@ def draw_move(kind: str, where: Where, rng: np.random.Generator) -> Moved:
 
 @dataclass(frozen=True)
 class Moving:
-    """A campaign in which something moves, and what is true of it."""
+    """A campaign in which something moves, the same in which nothing does, and what is true of it."""
 
     campaign: Campaign
+    still: Callable[[], Campaign]
     moves: Sequence[Moved]
 
     def true_c(self, scope: Scope, at: float) -> Floats:
@@ -125,6 +131,13 @@ class Moving:
             if is_all or (scope.antenna in move.where.antennas and dipole in (move.where.dipoles or "XY")):
                 c = c * np.exp(-0.5 * move.log_gain(np.array([at]), truth.frequency_mhz)[0])
         return np.asarray(c)
+
+    def describe(self) -> list[Any]:
+        """Kind, date, shape, metres and antennas of each move."""
+        return [
+            [m.kind, round(m.date), np.round(m.shape, 4).tolist(), round(m.metres, 2), list(m.where.antennas)]
+            for m in self.moves
+        ]
 
     def dates(self) -> dict[str, float]:
         """When C is asked for: around the first change, and far from all."""
@@ -143,13 +156,13 @@ class Moving:
         return [Scope(STATION, int(antenna), dipole), Scope(STATION, other, dipole)]
 
 
-def draw_moving(seed: int, factory: Factory) -> tuple[str, str, int, Moving]:
-    """Kind, who moves, the number of antennas, and the campaign."""
+def draw_moving(seed: int, factory: Factory, *, is_single: bool = False) -> tuple[str, str, int, Moving]:
+    """Kind, who moves (single antennas if only these may), the number of antennas, and the campaign."""
     rng = np.random.default_rng([34, seed])
     kind, antennas = KINDS[seed % len(KINDS)], int(rng.choice([4, 8]))
     who = str(rng.choice(["path", "antenna", "station"], p=[0.4, 0.35, 0.25]))
     kinds = [kind] if kind != "several" else ["step", *rng.choice(["step", "cable", "ramp"], 2).tolist()]
-    if kind in ("dead", "several") and who == "station":
+    if (is_single or kind in ("dead", "several")) and who == "station":
         who = "antenna"
     chosen = rng.permutation(antennas)[: len(kinds)].tolist()
     dipoles = (str(rng.choice(["X", "Y"])),) if who == "path" else ()
@@ -158,19 +171,45 @@ def draw_moving(seed: int, factory: Factory) -> tuple[str, str, int, Moving]:
         for one, number in zip(kinds, chosen, strict=True)
     ]
     settings = TwinSettings(stations=(STATION,), antennas=antennas, events_per_year=EVENTS, years=YEARS - 0.01)
-    campaign = simulate_campaign(settings, factory.instrument, factory.simulation.sky_power, rng, moves)
-    return kind, who, antennas, Moving(campaign, moves)
+    simulate = partial(simulate_campaign, settings, factory.instrument, factory.simulation.sky_power)
+    still = partial(simulate, copy.deepcopy(rng))
+    return kind, who, antennas, Moving(simulate(rng, moves), still, moves)
 
 
 def pass_years(seed: int) -> Row:
     """C in effect of a campaign, against the truth."""
+    with _begin() as service:
+        return _pass(service, seed)
+
+
+def compare_means(seed: int) -> Row:
+    """C of a station before and after something in single antennas, less what it is if nothing happens to them."""
+    with _begin() as service:
+        kind, who, antennas, moving = draw_moving(seed, service.factory, is_single=True)
+        _pass_nights(service, moving.campaign)
+        moved = _ask_means(service.factory, moving)
+        changes = _changes_in_force(service.factory, moving)
+    with _begin() as service:
+        _pass_nights(service, moving.still())
+        still = _ask_means(service.factory, moving)
+    pairs = [(then, now) for then, now in zip(still, moved, strict=True) if then is not None and now is not None]
+    return {
+        "kind": kind, "who": who, "antennas": antennas, "planted": moving.describe(), "found": changes,
+        "station": [_pull(*now, then[0]) for then, now in pairs],
+    }  # fmt: skip
+
+
+@contextmanager
+def _begin() -> Iterator[Service]:
+    """A service that has seen nothing yet."""
     with tempfile.TemporaryDirectory(prefix="lbacal-moving-") as folder, open_databases("sqlite", "moving") as (url,):
         sky = Path(folder) / "sky_power.json"
         write_sky_power(compute_sky_power(Factory(Settings()).instrument), sky)
         factory = Factory(Settings(database_url=url, sky_power=sky, **SERVICE))
         configure_logs(factory.settings.log_level)
         try:
-            return _pass(Service(factory), seed)
+            upgrade(factory.database)
+            yield Service(factory)
         finally:
             factory.database.close()
 
@@ -178,31 +217,44 @@ def pass_years(seed: int) -> Row:
 def _pass(service: Service, seed: int) -> Row:
     factory = service.factory
     kind, who, antennas, moving = draw_moving(seed, factory)
-    upgrade(factory.database)
-    with factory.database.write() as stores:
-        stores.spectra.add(moving.campaign.spectra)
     if who == "station":
         _enter(factory, moving.moves[0])
-    nights = 0
-    while nights < NIGHTS and look_for_due_work(factory):
-        service.work()
-        nights += 1
+    nights = _pass_nights(service, moving.campaign)
     dates, pulls = moving.dates(), dict[str, list[float] | None]()
     for name, path in zip(("moved", "steady"), moving.paths(), strict=True):
         for when, date in dates.items():
             told = _ask(factory, path, date)
             pulls[f"{name}_{when}"] = None if told is None else _pull(*told, moving.true_c(path, date))
-    with factory.database.read() as stores:
-        changes = [one.change for one in stores.changes.kept(STATION) if one.decision == IN_FORCE]
-    matched = [(change, _match(change, moving.moves)) for change in changes]
-    before, after = (ask_mean(factory, moving.paths()[0].dipole, dates[when]) for when in ("before", "after"))
+    before, after = _ask_means(factory, moving)
     return {
         "kind": kind, "who": who, "antennas": antennas, "nights": nights, "pulls": pulls,
         "station": None if before is None or after is None else _pull(*after, before[0]),
-        "moves": [[m.kind, round(m.date), np.round(m.shape, 4).tolist(), round(m.metres, 2)] for m in moving.moves],
-        "moved": [list(m.where.antennas) for m in moving.moves],
-        "found": [[c.paths, round(c.date / 1e6), round(c.sigma / 1e6), m] for c, m in matched],
+        "planted": moving.describe(), "found": _changes_in_force(factory, moving),
     }  # fmt: skip
+
+
+def _pass_nights(service: Service, campaign: Campaign) -> int:
+    """Nights until nothing is due."""
+    with service.factory.database.write() as stores:
+        stores.spectra.add(campaign.spectra)
+    nights = 0
+    while nights < NIGHTS and look_for_due_work(service.factory):
+        service.work()
+        nights += 1
+    return nights
+
+
+def _ask_means(factory: Factory, moving: Moving) -> list[tuple[Floats, Floats] | None]:
+    """C of the station before and after the first change."""
+    dates, dipole = moving.dates(), moving.paths()[0].dipole
+    return [ask_mean(factory, dipole, dates[when]) for when in ("before", "after")]
+
+
+def _changes_in_force(factory: Factory, moving: Moving) -> list[Any]:
+    """Paths, date and its error, s, of every change in force, and which of the moves it is, if any."""
+    with factory.database.read() as stores:
+        changes = [one.change for one in stores.changes.kept(STATION) if one.decision == IN_FORCE]
+    return [[c.paths, round(c.date / 1e6), round(c.sigma / 1e6), _match(c, moving.moves)] for c in changes]
 
 
 def _enter(factory: Factory, move: Moved) -> None:
@@ -261,15 +313,34 @@ def judge(rows: Sequence[Row]) -> list[Found]:
             within = np.array([np.mean(np.abs(one) < 2.0) for one in told if one is not None])
             found.append(mean_of(f"{name}_{when}", within))
     single = [row["station"] for row in rows if row["who"] != "station" and row["station"] is not None]
-    matched = [(row["moves"][one[3]], one) for row in rows for one in row["found"] if one[3] is not None]
+    matched = [(row["planted"][one[3]], one) for row in rows for one in row["found"] if one[3] is not None]
     dated = [abs(one[1] - move[1]) < 2 * one[2] for move, one in matched if one[0] and move[0] not in ("dead", *SLOW)]
     return [
         *found,
         rate_of("answered", sum(None not in row["pulls"].values() for row in rows), len(rows)),
-        rate_of("mean", sum(np.abs(one).max() < 0.3 for one in single), len(single)),
+        rate_of("mean", sum(np.abs(one).max() < STILL for one in single), len(single)),
         rate_of("dates", sum(dated), len(dated)),
         rate_of("unplanted", sum(any(one[3] is None for one in row["found"]) for row in rows), len(rows)),
     ]
 
 
-PARTS = (Part("small", pass_years, judge, 360, by("kind"), ("moved_after",)),)
+def judge_means(rows: Sequence[Row]) -> list[Found]:
+    """A campaign is one draw: its largest departure of two dates and three channels counts.
+
+    An antenna that is dead for a year takes its events with it: in four, 0.4 sigma by chance alone.
+    """
+    told = [row for row in rows if len(row["station"]) == 2]
+    still = {row["seed"]: bool(np.abs(row["station"]).max() < STILL) for row in told}
+    unplanted = [any(one[3] is None for one in row["found"]) for row in rows if row["kind"] != "several"]
+    kinds = {"mean": {*SINGLE} - {"dead"}, "mean_several": {"several"}, "mean_dead": {"dead"}}
+    groups = {key: [still[row["seed"]] for row in told if row["kind"] in of] for key, of in kinds.items()}
+    return [
+        *(rate_of(key, sum(of), len(of)) for key, of in groups.items()),
+        rate_of("unplanted_one", sum(unplanted), len(unplanted)),
+    ]
+
+
+PARTS = (
+    Part("small", pass_years, judge, 360, by("kind"), ("moved_after",)),
+    Part("mean", compare_means, judge_means, 120, by("kind")),
+)

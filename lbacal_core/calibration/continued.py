@@ -150,7 +150,7 @@ def _read_mean(
         at = np.searchsorted(events, block.event_id)
         lst_hours[at] = simulation.sidereal_time(station, block.time_unix)
         sky = simulation.sky_at(block.station, dipole, block.time_unix)
-        of_station = np.flatnonzero(members.stations == block.station)
+        of_station = np.flatnonzero((members.stations == block.station) & ~members.is_away)
         is_member = np.isin(block.antennas, members.antennas[of_station])
         place = of_station[np.searchsorted(members.antennas[of_station], block.antennas[is_member])]
         expected = members.slope[place, None] * sky + members.intercept[place, None]

@@ -65,10 +65,11 @@ from lbacal_core.curves.curves import (
     Parameter,
     SkyOverModel,
 )
-from lbacal_core.curves.kept_lines import KeptLines
+from lbacal_core.curves.kept_lines import KeptLines, MemberLines, Owner
 from lbacal_core.curves.reference_chain import CableTable, ReferenceChain
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_same_grid
+from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.instrument.chain import Intercepts, calibration_factor
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import Provenance
@@ -118,8 +119,12 @@ def fit_calibration(
     require_same_grid(spectra.origin, spectra.frequency_mhz, instrument.frequency_mhz, f"instrument {instrument.name}")
     if len(spectra) == 0:
         raise BadInputError(spectra.origin, "at least one spectrum", "none")
-    cable_of = require_one_cable_each(spectra, instrument)
+    cable_of = {**_cables_of_away(beside, spectra, instrument), **require_one_cable_each(spectra, instrument)}
     table = CableTable.of(instrument)
+
+    def elsewhere(owner: Owner) -> list[MemberLines]:
+        own = [one for one in pick_beside(beside, owner) if one.is_same[0] and one.lines.is_good[0]]
+        return [one.lines.members for one in own if one.lines.members is not None]
 
     def fit_paths(read: Callable[[], Paths]) -> _Fitted:
         paths = read()
@@ -137,7 +142,7 @@ def fit_calibration(
     # BLAS would start within each cost twice the time.
     with threadpool_limits(1), ThreadPoolExecutor(os.cpu_count()) as pool:
         digest = pool.submit(spectra.digest)
-        batches = list(pool.map(fit_paths, paths_of_scope(spectra, simulation, scope, cable_of)))
+        batches = list(pool.map(fit_paths, paths_of_scope(spectra, simulation, scope, cable_of, elsewhere)))
     fitted = [one for curves, *_ in batches for one in curves]
     fitted.sort(key=lambda c: (c[0].station or "", -1 if c[0].antenna is None else c[0].antenna, c[0].dipole or ""))
     mistaken = {} if prior is None else name_mistakes([(curve, tried) for curve, tried, _ in fitted], prior.mistakes)
@@ -175,6 +180,20 @@ def fit_calibration(
         tuple(anomaly for _, anomalies, *_ in batches for anomaly in anomalies),
         lines=tuple(lines.lend(good) for *_, lines, _ in batches),
     )
+
+
+def _cables_of_away(beside: Sequence[Beside], spectra: Spectra, instrument: Instrument) -> Cables:
+    """The cables of members of means in other windows, where there is one on record, that of the window too."""
+    edges = float(spectra.time_unix.min()), float(spectra.time_unix.max())
+    names = {name for one in beside if one.lines.members is not None for name in one.lines.members.names}
+    held: dict[tuple[str, int], list[AntennaRecord]] = {name: [] for name in names}
+    for record in instrument.antennas:
+        held.get((record.station, record.antenna), []).append(record)
+    return {
+        name: records[0].cable
+        for name, records in held.items()
+        if len(records) == 1 and all(records[0].covers(edge) for edge in edges)
+    }
 
 
 def _digest_of(instrument: Instrument, spectra: Spectra, scope: str) -> str:

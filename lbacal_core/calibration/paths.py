@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lbacal_core.calibration.singles import MIN_EVENTS, SingleFits, fit_singles, relative_variance_of
 from lbacal_core.calibration.spreads import SinglePaths, join_paths
 from lbacal_core.curves.curves import Anomaly
-from lbacal_core.curves.kept_lines import MemberLines, join_members
+from lbacal_core.curves.kept_lines import MemberLines, Owner, join_away, join_members
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
@@ -103,8 +103,17 @@ def paths_of_scope(
     simulation: Simulation,
     scope: str,
     cable_of: Cables,
+    elsewhere: Callable[[Owner], Sequence[MemberLines]] = lambda _: (),
 ) -> Iterator[Callable[[], Paths]]:
-    """The paths of a scope, a batch at a time, each batch to be read by whoever has a core for it."""
+    """The paths of a scope, a batch at a time, each batch to be read by whoever has a core for it.
+
+    Parameters
+    ----------
+    cable_of
+        Of every antenna of the spectra, and of those that a mean may have although they are away.
+    elsewhere
+        The members of a mean in other windows, the nearest first.
+    """
     typical, smallest = float(np.median(spectra.blocks)), radiometer_limit(spectra)
 
     def fit(block: SpectraBlock) -> SingleFits:
@@ -118,7 +127,8 @@ def paths_of_scope(
     groups = {(block.station if scope == "station" else None, block.dipole) for block in blocks}
     for station, dipole in sorted(groups, key=lambda key: (key[0] or "", key[1])):
         members = [b for b in blocks if b.dipole == dipole and station in (None, b.station)]
-        yield partial(_mean_path, members, simulation, station, cable_of, typical, smallest, fit)
+        others = elsewhere((station, None, dipole))
+        yield partial(_mean_path, members, simulation, station, cable_of, others, typical, smallest, fit)
 
 
 def radiometer_limit(spectra: Spectra) -> float:
@@ -162,6 +172,7 @@ def _mean_path(
     simulation: Simulation,
     station: str | None,
     cable_of: Cables,
+    elsewhere: Sequence[MemberLines],
     typical_blocks: float,
     smallest_scatter: float,
     fit: Callable[[SpectraBlock], SingleFits],
@@ -175,8 +186,8 @@ def _mean_path(
     1.15 for the cables of the Superterp. The chain of the array stands where the instrument does, wherever its stations
     stand: each deviates from its lines against the sky that it sees itself.
 
-    A path with too many anomalous spectra is no member. Where most have too many, they are what the station records,
-    and are averaged.
+    A path with too many anomalous spectra takes part in no event; where other windows have its lines it is a member all
+    the same. Where most have too many, they are what the station records, and are averaged.
     """
     events = np.unique(np.concatenate([block.event_id for block in blocks]))
     dipole = blocks[0].dipole
@@ -184,7 +195,6 @@ def _mean_path(
     mean = MeanOfEvents(events.size, channels)
     lst_hours, time_unix = np.zeros((2, events.size))
     anomalies: list[Anomaly] = []
-    members: list[tuple[str, int]] = []
     found: list[MemberLines] = []
     singles: list[SinglePaths] = []
     scatters: list[Floats] = []
@@ -208,10 +218,9 @@ def _mean_path(
         stations = np.full(antennas.size, block.station)
         found.append(MemberLines(stations, antennas, lines.slope, lines.intercept, level, lines.levels.of_band))
         averaged = [(block.station, int(antenna)) for antenna in antennas]
-        members += averaged
         scatters.append(np.median(lines.levels.radiometer, axis=1))
         singles.append(_single_paths(averaged, fitted, is_member, simulation.instrument, cable_of))
-    member_lines = join_members(found) if found else None
+    member_lines = join_away(join_members(found), elsewhere, cable_of) if found else None
     power, relative_variance = mean.take(simulation.sky_power.of_station(station).at(dipole, lst_hours), member_lines)
     has_data = np.isfinite(relative_variance)
     unit = float(np.median(relative_variance[has_data])) if np.any(has_data) else 1.0
@@ -225,7 +234,7 @@ def _mean_path(
         anomalies=anomalies,
         smallest_scatter=smallest_scatter,
         scatter=np.array([np.median(np.concatenate(scatters))]) if scatters else None,
-        members=members,
+        members=[] if member_lines is None else member_lines.names,
         singles=join_paths(singles) if singles else None,
         typical_blocks=typical_blocks,
         variance_unit=unit,

@@ -28,7 +28,8 @@ class MemberLines:
     slope, intercept
         s and b, shape (member, freq).
     level
-        Mean power over events and channels, with which a member counts in the mean, shape (member,).
+        Mean power over events and channels, with which a member counts in an event, shape (member,); 0 of one that is
+        away, of which the mean has the lines alone.
     scatter
         Standard deviation of the band power of an event, relative, shape (member,).
     """
@@ -40,10 +41,49 @@ class MemberLines:
     level: Floats
     scatter: Floats
 
+    @property
+    def names(self) -> list[tuple[str, int]]:
+        """Station and antenna of each."""
+        return list(zip(self.stations.tolist(), self.antennas.tolist(), strict=True))
+
+    @property
+    def is_away(self) -> NDArray[np.bool_]:
+        """Who takes part in no event, shape (member,)."""
+        return np.asarray(self.level == 0.0)
+
 
 def join_members(parts: Sequence[MemberLines]) -> MemberLines:
     """The members of several parts, in their order."""
     return MemberLines(**{f.name: np.concatenate([getattr(one, f.name) for one in parts]) for f in fields(MemberLines)})
+
+
+def join_away(here: MemberLines, elsewhere: Sequence[MemberLines], lendable: Container[tuple[str, int]]) -> MemberLines:
+    """The members of a mean with those that are away, whose lines other windows have.
+
+    The mean of a station would otherwise be that of other antennas while one is dead, and differ by its departure. The
+    lines of who is away are those of then, times what the members of both windows gained since.
+
+    Parameters
+    ----------
+    elsewhere
+        The members in other windows, the nearest first.
+    lendable
+        Stations and antennas that may be away: with the same hardware in all windows.
+    """
+    for there in elsewhere:
+        own, then = here.names, {name: k for k, name in enumerate(there.names) if not there.is_away[k]}
+        both = [k for k, name in enumerate(own) if name in then and not here.is_away[k]]
+        at = [k for name, k in then.items() if name not in own and name in lendable]
+        if both and at:
+            of = [then[own[k]] for k in both]
+            slope, intercept = (
+                one[at] * now[both].sum(axis=0) / one[of].sum(axis=0)
+                for one, now in ((there.slope, here.slope), (there.intercept, here.intercept))
+            )
+            none = np.zeros(len(at))
+            away = MemberLines(there.stations[at], there.antennas[at], slope, intercept, none, there.scatter[at])
+            here = join_members([here, away])
+    return here
 
 
 @dataclass(frozen=True)

@@ -27,8 +27,7 @@ from service.errors import NotFoundError
 from service.schema.tables import change, change_decision, change_evidence
 from service.storage.rows import Store, equal, from_row, to_row
 
-STEP, RAMP, SEASON = "step", "ramp", "season"
-KINDS = (STEP, RAMP, SEASON, "course")
+KINDS = STEP, RAMP, SEASON, COURSE = "step", "ramp", "season", "course"
 DRIFT, INVESTIGATION, RECORD, PERSON = "drift", "investigation", "record", "person"
 PROPOSED, IN_FORCE, DISMISSED = "proposed", "in_force", "dismissed"
 NOT_REFITTED = "found, not yet refitted"
@@ -218,10 +217,7 @@ class KeptChange:
             return []
         power = None if one.size is None else (1.0 + one.size) ** -2.0  # C^2 is proportional to 1 / power
         power = None if power is None or abs(math.log(power)) > LARGEST_TAKEN_OUT else power
-        if one.station is None:
-            return []
-        cut = Cut(one.station, None, one.date, None, power, (-2.0 * (one.tilt or 0.0), -2.0 * (one.curvature or 0.0)))
-        return self._of_each(cut) if one.paths else [cut]
+        return self._of_each(power=power, shape=(-2.0 * (one.tilt or 0.0), -2.0 * (one.curvature or 0.0)))
 
     @property
     def rank(self) -> tuple[Instant, int]:
@@ -230,13 +226,16 @@ class KeptChange:
 
     @property
     def follows(self) -> list[Cut]:
-        """The ramps and seasons of single antennas, which are taken out of the means that these are in."""
-        cut = Cut(str(self.change.station), None, self.change.date, slow=self.slow)
-        return [] if self.slow is None else self._of_each(cut)
+        """The ramps and seasons of antennas, or of a station, which are taken out of the means that these are in."""
+        return [] if self.slow is None else self._of_each(slow=self.slow)
 
-    def _of_each(self, cut: Cut) -> list[Cut]:
+    def _of_each(self, **what: Any) -> list[Cut]:
         one = self.change
-        return [replace(cut, antenna=number, dipoles=one.dipoles_of(number)) for number in one.antennas]
+        if one.station is None:
+            return []
+        cut = Cut(one.station, None, one.date, **what)
+        who = [replace(cut, antenna=number, dipoles=one.dipoles_of(number)) for number in one.antennas]
+        return who if one.paths else [cut]
 
     @property
     def slow(self) -> SlowChange | None:

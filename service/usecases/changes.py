@@ -16,6 +16,7 @@ from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import Instrument
 from service.errors import ConflictError
 from service.storage.changes import (
+    COURSE,
     DISMISSED,
     IN_FORCE,
     INVESTIGATION,
@@ -67,13 +68,15 @@ def propose(made: Investigation, instrument: Instrument) -> Iterator[tuple[Chang
     every = {(path.antenna, path.dipole) for path in select_paths(instrument, made.station, None, None)}
     for number, finding in enumerate(made.report["findings"]):
         is_ramp, dated = finding["cause"] == GAIN_DRIFT, finding["parameters"].get("date_unix")
-        if not follows_date(finding["cause"], finding["parameters"]) or (dated is None and not is_ramp):
+        if not follows_date(finding["cause"], finding["parameters"]):
             continue
         where, size = finding["where"], finding["size"]
         paths = tuple((antenna, dipole) for antenna in where["antennas"] for dipole in where["dipoles"])
         paths = () if every <= set(paths) else paths
-        when = (RAMP, made.since, 0) if is_ramp else (STEP, round(dated * SECOND_US), INVESTIGATED_SIGMA_US)
-        change = Change(made.station, paths, *when)
+        since = (RAMP if is_ramp else COURSE, made.since, 0)
+        change = Change(
+            made.station, paths, *(since if dated is None else (STEP, round(dated * SECOND_US), INVESTIGATED_SIGMA_US))
+        )
         if is_ramp or finding["cause"] == GAIN_STEP:
             of_c = (1.0 + size["value"]) ** -0.5  # C^2 is proportional to 1 / gain
             change = replace(change, size=of_c - 1.0, size_sigma=of_c * size["sigma"] / (1.0 + size["value"]) / 2.0)

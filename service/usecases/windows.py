@@ -50,6 +50,8 @@ class Neighbours:
 
 
 ALONE = Neighbours((), {}, {})
+AWAY = "members that are away"
+"""Part of the name of a mean that other windows lend their members to: without them the same input gave another C."""
 
 
 def name_beside(
@@ -67,7 +69,7 @@ def name_windows(scope: Scope, beside: Sequence[tuple[KeptPiece, Beside]]) -> st
         for k, owner in enumerate(of.lines.owners)
         if of.lines.is_good[k] and scope == scope_of(owner)
     )
-    return hash_content(named)
+    return hash_content([*named, AWAY] if scope.antenna is None and named else named)
 
 
 def scope_of(owner: Owner) -> Scope:

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from lbacal_twin.settings import START_2014, YEAR_S
 from validation.machinery.claims import Found
 from validation.machinery.parts import Row
 from validation.machinery.records import asked_of
-from validation.moving import SINGLE, YEARS, Moving, draw_move, judge, pass_years
+from validation.moving import SINGLE, YEARS, Moving, compare_means, draw_move, judge, judge_means, pass_years
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def test_c_is_asked_for_while_there_are_data() -> None:
     """After the end of the data nothing is in effect: 10 of 51 antennas that were dead for a year had no C far away."""
     rng, end = np.random.default_rng(1), START_2014 + YEARS * YEAR_S
     for kind in SINGLE * 50:
-        dates = Moving(cast("Campaign", None), [draw_move(kind, Where(), rng)]).dates().values()
+        dates = Moving(cast("Campaign", None), cast("Any", None), [draw_move(kind, Where(), rng)]).dates().values()
         assert START_2014 < min(dates) < max(dates) < end
 
 
@@ -42,3 +42,15 @@ def test_the_judgement_counts_what_was_not_right(row: Row) -> None:
     assert found["moved_after"].found == pytest.approx(2 / 3)
     assert found["unplanted"].found == pytest.approx(1 / 3)
     assert found.keys() == set(asked_of("moving", "small"))
+
+
+def test_an_antenna_that_is_dead_for_a_year_does_not_move_the_mean_of_its_station() -> None:
+    """The mean was that of the other antennas then, and between two fits by its departure from them."""
+    row = {"seed": 5, **compare_means(5)}
+    assert (row["kind"], len(row["station"])) == ("dead", 2)
+    assert np.abs(row["station"]).max() < 0.3
+    moved = {"station": [[0.1] * 3, [0.1, 0.1, -0.4]], "found": [[[[0, "X"]], 1, 1, None]]}
+    others = [{**row, "seed": 6, "kind": "several"}, {**row, "seed": 7, "kind": "step", **moved}]
+    found = {one.key: one for one in judge_means([row, *others])}
+    assert [found[key].found for key in ("mean", "mean_dead", "mean_several", "unplanted_one")] == [0, 1, 1, 0.5]
+    assert found.keys() == set(asked_of("moving", "mean"))

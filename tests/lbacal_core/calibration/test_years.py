@@ -175,3 +175,38 @@ def test_later_events_continue_a_fit_of_several_years(scene, years, alone):
 
 def test_a_campaign_without_other_years_is_what_it_was(alone):
     assert {curve.repeated for report in alone["station"] for curve in report.curves} == {None}
+
+
+@pytest.mark.parametrize("scope", ["station", "array"])
+def test_an_antenna_that_is_away_for_a_year_stays_in_the_mean(scene, years, scope):
+    """The mean of a station was that of other antennas while one was dead: C moved by its departure from them."""
+    reports = [fit_calibration(one, scene.simulation, scope) for one in years]
+    without = years[1].select(years[1].antenna != 1)
+    whole = fit_calibration(years[1], scene.simulation, scope, beside(reports, 1))
+    found = fit_calibration(without, scene.simulation, scope, beside(reports, 1))
+    for curve, of_all, chain in zip(found.curves, whole.curves, found.chains, strict=True):
+        assert [antenna for _, antenna in chain.members] == [0, 1]
+        assert np.max(np.abs(np.log(curve.c / of_all.c))) < 0.004, "the gain of a year by one antenna of two"
+    other = fit_calibration(without, scene.simulation, scope, beside(reports, 1, is_same=False))
+    assert [antenna for _, antenna in other.chains[0].members] == [0], "of other hardware nothing is lent"
+    lent = [read_lines(write_lines(found.lines))[0].members, found.lines[0].members]
+    assert [one.is_away.tolist() for one in lent] == [[False, True]] * 2
+    again = fit_calibration(without, scene.simulation, scope, [*beside([found], 1), *beside(reports, 1)])
+    slopes = [one.lines[0].members.slope for one in (again, found)]
+    np.testing.assert_allclose(*slopes, rtol=1e-12, err_msg="who is away in the nearest window lends nothing")
+    gained = slopes[1][0] / reports[0].lines[0].members.slope[0]
+    np.testing.assert_allclose(slopes[1][1], reports[0].lines[0].members.slope[1] * gained, rtol=1e-12)
+
+
+def test_later_events_continue_a_mean_with_an_antenna_that_is_away(scene, years):
+    report = fit_calibration(years[0], scene.simulation, "station")
+    without = years[1].select(years[1].antenna != 1)
+    first, last = (without.select(rows) for rows in (np.arange(len(without)) < 500, np.arange(len(without)) >= 500))
+    early, late = (one.select(np.isin(one.event_id, first.event_id, invert=k)) for k, one in enumerate((without, last)))
+    others = beside([report], 1)
+    found = fit_calibration(early, scene.simulation, "station", others)
+    continued = continue_fit(found.lines, late, scene.simulation, others)
+    together = fit_calibration(without, scene.simulation, "station", others)
+    for curve in together.curves:
+        c, sigma, *_ = continued.curves[curve.station, None, curve.dipole]
+        assert np.max(np.abs(c - curve.c) / sigma) < 0.25

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from lbacal_twin.campaign import Campaign, simulate_campaign
 from lbacal_twin.faults.fault import Where
 from lbacal_twin.settings import START_2014, TwinSettings
 from service.factory import Factory
+from service.storage.changes import Change, Cut, Evidence, KeptChange
 from service.storage.models import Investigation
 from service.usecases.changes import propose
 from service.usecases.watch import read_slow
@@ -159,3 +161,38 @@ def test_the_drift_that_an_investigation_finds_is_proposed_as_a_ramp(instrument:
     ((change, evidence),) = propose(made, instrument)
     assert (change.kind, change.paths, change.date, evidence.source) == ("ramp", ((1, "X"),), 0, "investigation")
     assert change.size == pytest.approx(1.05**-0.5 - 1.0), "C^2 is proportional to 1 / gain"
+
+
+def test_what_follows_the_season_and_is_no_gain_is_proposed_as_a_course(instrument: Instrument) -> None:
+    """It is refused as a cause, since it acts along the date, and stood in no list of changes either."""
+    where, size = {"antennas": [1], "dipoles": ["X"]}, {"value": 0.4, "sigma": 0.05}
+    finding = {
+        "cause": "resonance_shift", "parameters": {"follows": "season"}, "where": where, "size": size,
+        "significance_sigma": 8.0,
+    }  # fmt: skip
+    made = Investigation("id", "CS001", 5, 10, {}, {"findings": [finding]}, 1, "", "")
+    ((change, evidence),) = propose(made, instrument)
+    assert (change.kind, change.paths, change.date, change.size) == ("course", ((1, "X"),), 5, None)
+    assert evidence.source == "investigation"
+
+
+def test_what_goes_on_changing_is_taken_out_of_the_means_that_it_is_in() -> None:
+    """Of a station's mean what its antennas do, of the array's what whole stations do as well."""
+    at, modes = START_2014 * 1_000_000, np.array([[-1.0, 0.0, 1.0], [1.0, -0.5, 1.0]])
+    ramp = Change("CS002", ((2, "Y"),), "ramp", at, 0, 0.05, 0.01, 0.02, 0.0)
+    season = replace(ramp, paths=(), kind="season")
+    (of_path,), (of_station,) = (_in_force(one).follows for one in (ramp, season))
+    assert (of_path.antenna, of_path.dipoles, of_station.antenna) == (2, ("Y",), None)
+    assert _in_force(replace(ramp, size=None)).follows == _in_force(replace(ramp, station=None)).follows == []
+    times = START_2014 + 365.25 * 86_400.0 * np.array([-1.0, 0.0, 2.0])
+    size = np.log(1.05) + 0.02 * modes[0]
+    assert of_path.log_power(times, modes) == pytest.approx(np.outer([0.0, 0.0, 2.0], -2.0 * size))
+    assert of_station.log_power(times, modes) == pytest.approx(np.outer([1.0, 1.0, 1.0], -2.0 * size))
+    assert [one.begins_before(at - 1) for one in (of_path, of_station)] == [False, True], "a season has no beginning"
+    step = Cut("CS002", 2, at, ("Y",), 0.9, (0.01, 0.0))
+    expected = np.outer([0.0, 1.0, 1.0], np.log(0.9) + 0.01 * modes[0])
+    assert step.log_power(times, modes) == pytest.approx(expected)
+
+
+def _in_force(change: Change) -> KeptChange:
+    return KeptChange(1, change, 0, (Evidence("drift", "", 9.0, 0),))
