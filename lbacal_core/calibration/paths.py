@@ -110,7 +110,7 @@ def paths_of_scope(
     Parameters
     ----------
     cable_of
-        Of every antenna of the spectra, and of those that a mean may have although they are away.
+        The cables of the antennas of the spectra, and of those that a mean may have although they are away.
     elsewhere
         The members of a mean in other windows, the nearest first.
     """

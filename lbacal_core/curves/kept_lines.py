@@ -48,7 +48,7 @@ class MemberLines:
 
     @property
     def is_away(self) -> NDArray[np.bool_]:
-        """Who takes part in no event, shape (member,)."""
+        """Whether a member takes part in no event, shape (member,)."""
         return np.asarray(self.level == 0.0)
 
 
