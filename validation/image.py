@@ -39,7 +39,7 @@ from validation.running.postgres import Server, find_binaries
 from validation.running.processes import find_free_port, is_ready, wait_until, write_coarse_sky
 
 TREE = Path(__file__).parents[1]
-RELEASE, ARCHIVE = "bookworm", "http://deb.debian.org/debian"
+RELEASE = "bookworm"
 """Debian 12 has Python 3.11, as the Dockerfile's own base image has."""
 PACKAGES = ("python3", "python3-pip", "python3-venv", "ca-certificates")
 CERTIFICATES = Path("/etc/ssl/certs/ca-certificates.crt")
@@ -70,7 +70,7 @@ class Images:
     def make_base(self) -> None:
         """Make an image of Debian with what the Dockerfile asks of its base: `python`, and a pip that installs."""
         root, packed = self.folder / "debian", self.folder / "debian.tar"
-        asked = ["debootstrap", "--variant=minbase", f"--include={','.join(PACKAGES)}", RELEASE, str(root), ARCHIVE]
+        asked = ["debootstrap", "--variant=minbase", f"--include={','.join(PACKAGES)}", RELEASE, str(root)]
         subprocess.run(asked, check=True, stdout=subprocess.DEVNULL)
         (root / "usr/bin/python").symlink_to("python3")
         for marked in root.glob("usr/lib/python3*/EXTERNALLY-MANAGED"):
