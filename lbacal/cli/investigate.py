@@ -48,8 +48,6 @@ def investigate(
 
     Example: lbacal investigate 2014/ --instrument lofar-superterp --station CS002 --report R.json --html R.html
 
-    Exit 0 for every verdict: consistent, explained, unexplained.
-
     The service does it with its stored spectra, one report a station and calendar year:
     lbacal investigate --stored --since 2014-01-01 --until 2015-01-01 --reason "new map"
     """
