@@ -1,5 +1,7 @@
 # One image for API, scheduler, worker and migration: both wheels with exactly the locked dependencies.
-FROM python:3.11-slim AS build
+# BASE is any image with `python` 3.11 or newer and a pip that installs.
+ARG BASE=python:3.11-slim
+FROM ${BASE} AS build
 WORKDIR /src
 COPY . .
 RUN pip install --no-cache-dir uv==0.13.9 \
@@ -11,7 +13,7 @@ RUN pip install --no-cache-dir uv==0.13.9 \
     && uv pip install --python /venv/bin/python --constraints requirements.lock \
         "$(ls /wheel/lbacal-*.whl)[dask]" /wheel/lbacal_server-*.whl
 
-FROM python:3.11-slim
+FROM ${BASE}
 RUN useradd --system --create-home --home-dir /data lbacal
 COPY --from=build /venv /venv
 ENV PATH=/venv/bin:$PATH OPENBLAS_NUM_THREADS=1

@@ -14,7 +14,7 @@ from lbacal_core.errors import BadInputError
 PREFIX = "LBACAL_"
 CLIENT_SETTINGS = {
     "LBACAL_DASK": (
-        "address of a dask scheduler for work that outgrows a machine (traces by the terabyte), or local",
+        "address of a dask scheduler for traces, investigations and workers, or local",
         "none",
     ),
     "LBACAL_URL": ("address of the server, for the client", "http://127.0.0.1:8000"),

@@ -26,6 +26,16 @@ class LbacalError(Exception):
     def __init__(self, sentence: str) -> None:
         super().__init__(_on_one_line(sentence))
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _make_again, (type(self), self.args, vars(self))
+
+
+def _make_again(kind: type[LbacalError], args: tuple[Any, ...], more: dict[str, Any]) -> LbacalError:
+    """Make an error that another process raised: classes are made from other words than their sentence."""
+    made = kind.__new__(kind, *args)
+    vars(made).update(more)
+    return made
+
 
 class BadInputError(LbacalError, status=422, code="bad_input"):
     """Input that does not follow its format: names the place, what was expected and what was found.

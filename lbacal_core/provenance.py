@@ -84,6 +84,9 @@ class Remembered(Generic[Key, Value]):
     _kept: OrderedDict[Key, Value] = field(default_factory=OrderedDict, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Remembered, (self.most,)  # what is remembered stays in its process
+
     def get_many(self, keys: Iterable[Key], make: Callable[[list[Key]], Mapping[Key, Value]]) -> dict[Key, Value]:
         """The values of some keys; those that are not here are made together, and left out where nothing makes them."""
         found: dict[Key, Value] = {}

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from functools import cached_property
 from typing import TYPE_CHECKING
 
+from lbacal.engine import HERE, Engine
 from lbacal_core.curves.validity import Instant
 from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.provenance import Remembered
@@ -52,9 +53,10 @@ def read_clock() -> Instant:
 class Factory:
     """Use cases on one database with one instrument."""
 
-    def __init__(self, settings: Settings, clock: Callable[[], Instant] = read_clock) -> None:
+    def __init__(self, settings: Settings, clock: Callable[[], Instant] = read_clock, engine: Engine = HERE) -> None:
         self.settings = settings
         self.clock = clock
+        self.engine = engine
 
     @cached_property
     def database(self) -> Database:
@@ -123,7 +125,7 @@ class Factory:
         """Versions from stored spectra."""
         from service.usecases.fits import Fits
 
-        return Fits(self.simulation, self.settings.resistance_ohm, self.clock)
+        return Fits(self.simulation, self.settings.resistance_ohm, self.clock, engine=self.engine)
 
     @cached_property
     def models(self) -> Models:

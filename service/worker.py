@@ -1,14 +1,20 @@
-"""The worker: claims parts one by one, does them, and records meanwhile that it lives."""
+"""The worker: claims parts one by one, does them, and records meanwhile that it lives.
+
+With dask it holds as many parts at once as its engine has slots. What is computed is sent there, arrays in and values
+out; the leases, what is read and what is written stay here, so that a process that dies there changes nothing.
+"""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 
 import structlog
 from threadpoolctl import threadpool_limits
 
+from lbacal.engine import EngineAwayError
 from lbacal_core.errors import LbacalError
 from service.errors import UnavailableError
 from service.factory import Factory
@@ -25,6 +31,8 @@ from service.usecases.watch import KIND as WATCH
 log = structlog.get_logger()
 RENEWALS = 4
 """How often a lease is renewed within its time."""
+MOST_AT_ONCE = 24
+"""Parts that one worker holds, however large its cluster is: the spectra of a station's year are 35 MB."""
 
 
 class Worker:
@@ -45,20 +53,30 @@ class Worker:
 
     def run(self, stop: threading.Event, *, until_idle: bool = False) -> None:
         """Work until asked to stop, or with `until_idle` until nothing is left to claim."""
-        database = self._factory.database
-        with threadpool_limits(1), Pulse(database, WORKER, self._inputs, self._name):
+        poll_s, begun = self._factory.settings.poll_s, set[Future[None]]()
+        with (
+            threadpool_limits(1),
+            Pulse(self._factory.database, WORKER, self._inputs, self._name),
+            ThreadPoolExecutor(MOST_AT_ONCE) as lanes,
+        ):
             while not stop.is_set():
                 try:
-                    part = self._claim()
-                    if part is not None:
-                        self._do(part)
-                        continue
-                    self._tell_what_is_left()
+                    begun = _take_ended(begun)
+                    if len(begun) < min(self._factory.engine.slots, MOST_AT_ONCE):
+                        part = self._claim()
+                        if part is not None:
+                            begun.add(lanes.submit(self._do, part))
+                            continue
+                        if not begun:
+                            self._tell_what_is_left()
                 except UnavailableError as error:
                     log.warning("database away", error=str(error))
-                if until_idle:
+                if begun:
+                    wait(begun, poll_s, FIRST_COMPLETED)
+                elif until_idle:
                     return
-                stop.wait(self._factory.settings.poll_s)
+                else:
+                    stop.wait(poll_s)
 
     def _claim(self) -> Part | None:
         with self._factory.database.write() as stores:
@@ -81,8 +99,8 @@ class Worker:
             with self._alive(part):
                 self._deeds[part.kind](part, self._name)
             told.info("part done")
-        except UnavailableError:
-            raise
+        except (UnavailableError, EngineAwayError):
+            raise  # the lease runs out, and the part passes to whoever has a database and an engine
         except LeaseLostError as error:
             told.warning("part given up", error=str(error))
         except LbacalError as error:
@@ -127,3 +145,12 @@ class Worker:
         finally:
             is_done.set()
             thread.join()
+
+
+def _take_ended(begun: set[Future[None]]) -> set[Future[None]]:
+    """Parts that are not yet done; what stopped one that is raises here."""
+    ended = {one for one in begun if one.done()}
+    begun -= ended
+    for one in ended:
+        one.result()
+    return begun

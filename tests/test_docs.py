@@ -152,7 +152,7 @@ def fields_of(value: Any) -> set[str]:
 
 def test_the_example_of_an_investigation_has_the_fields_of_a_report(repository: Path) -> None:
     report = json.loads(example(repository, "Investigation report"))
-    written = report_of_spectra.describe([], Provenance({}))
+    written = report_of_spectra.join([], Provenance({}))
     assert report.keys() == written.keys()
     assert report["provenance"].keys() == written["provenance"].keys()
     (finding,) = report["findings"]

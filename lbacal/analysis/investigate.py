@@ -14,6 +14,7 @@ from astropy.table import QTable
 from lbacal.analysis.data import spectra_of
 from lbacal.analysis.instrument import Described, simulation_of
 from lbacal.analysis.result import Result
+from lbacal.engine import Engine
 from lbacal.pages.chart import Chart
 from lbacal.pages.curve import draw_change, draw_curve, draw_curve_page, draw_ranking
 from lbacal.pages.finding import draw_finding, draw_scores, tell_rivals
@@ -24,8 +25,9 @@ from lbacal.with_model import Extended, read_model
 from lbacal_core.audit.audit import audit_quickly
 from lbacal_core.data.lofar import SUPERTERP
 from lbacal_core.discovery.curve_search import describe_curve, investigate_curve
-from lbacal_core.discovery.left_open import add_left_open
-from lbacal_core.discovery.report import investigate as investigate_spectra
+from lbacal_core.discovery.left_open import investigate_openly
+from lbacal_core.discovery.report import Search, StationContent
+from lbacal_core.discovery.station import Station
 from lbacal_core.errors import BadInputError, write_chance
 from lbacal_core.lstcurve.curve import BAND_MHZ, LstCurve, read_lst_curve
 from lbacal_core.provenance import Provenance
@@ -99,6 +101,7 @@ def investigate(
     with_: Extended = None,
     band: tuple[Any, Any] = BAND_MHZ,
     *,
+    dask: str | None = None,
     tell: Callable[[str], None] = lambda _: None,
 ) -> Investigation:
     """Find what the simulation gets wrong: name the cause, extend the model, measure the gain.
@@ -113,6 +116,8 @@ def investigate(
         What the model is extended by beforehand: an `Investigation`, a finding, or ``"R.json#0"``.
     band
         First and last channel of the LST curve, MHz or Quantities.
+    dask
+        Address of a dask scheduler whose workers search one station each, or ``"local"``.
     tell
         Called with a sentence before each step.
 
@@ -138,9 +143,10 @@ def investigate(
     measured = spectra_of(data)
     audited = audit_quickly(measured, simulation.instrument)
     audited.require_power(measured.origin)
-    content, stations = investigate_spectra(measured, simulation.smeared(measured), progress=tell)
+    with Engine(dask) as engine:
+        each = None if dask is None else partial(_search_each, engine, tell)
+        content = investigate_openly(measured, simulation.smeared(measured), progress=tell, each=each)
     content["provenance"]["notes"]["audit"] = audited.sentence
-    content = add_left_open(content, stations)
 
     origin = list_origin(measured.origin, simulation, measured.time_unix, content["provenance"])
     page = partial(draw_page, content, origin)
@@ -148,6 +154,21 @@ def investigate(
         lambda: map(draw_scores, content["scores"].values()), page, lambda one: draw_finding(one).values()
     )
     return _make(measured.origin, content, simulation, figures)
+
+
+def _search_each(
+    engine: Engine,
+    tell: Callable[[str], None],
+    function: Callable[..., StationContent],
+    search: Search,
+    stations: Iterable[tuple[Station, Spectra]],
+) -> list[StationContent]:
+    """Search stations by an engine; they are told as they are done, and given in their order."""
+    found = dict[int, StationContent]()
+    for number, described in engine.spread(function, search, stations):
+        found[number] = described
+        tell(f"{described.station['station']}: searched, {len(found)} of {search.stations} stations")
+    return [found[number] for number in sorted(found)]
 
 
 def _investigate_curve(curve: LstCurve, simulation: Simulation, band_mhz: tuple[float, float]) -> Investigation:

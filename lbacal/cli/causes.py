@@ -20,7 +20,7 @@ File = Annotated[Path | None, typer.Option("--file", help="File of the causes; L
 def list_causes(context: typer.Context, file: File = None) -> None:
     """List the causes of this installation, or name another one: sentences of reports, beside the catalogue.
 
-    Example: lbacal causes add R.json#unexplained --name workshop --file causes.json
+    Example: lbacal causes
     """
     if context.invoked_subcommand is None:
         from lbacal_core.causes.own import read_own_causes

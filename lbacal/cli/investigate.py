@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from lbacal.cli.options import Since, SkyPowerFile, Until, Year
+from lbacal.cli.options import Dask, Since, SkyPowerFile, Until, Year
 from lbacal.selection import Selection, find_spectra_files, parse_selection, read_selected
 from lbacal.with_model import HELP, read_model, report_path
 
@@ -41,13 +41,12 @@ def investigate(
     station: Annotated[
         list[str] | None, typer.Option(help="Station to use; may be given several times, with --stored once.")
     ] = None,
+    dask: Dask = None,
     reason: Annotated[str | None, typer.Option(help="Why the stored spectra are investigated; it is kept.")] = None,
 ) -> None:
     """Find what the simulation gets wrong: name the cause, extend the model, measure the gain.
 
     Example: lbacal investigate 2014/ --instrument lofar-superterp --station CS002 --report R.json --html R.html
-
-    Exit 0 for every verdict: consistent, explained, unexplained.
 
     The service does it with its stored spectra, one report a station and calendar year:
     lbacal investigate --stored --since 2014-01-01 --until 2015-01-01 --reason "new map"
@@ -67,6 +66,7 @@ def investigate(
     from lbacal.analysis.instrument import simulation_of
     from lbacal.analysis.investigate import investigate as investigate_data
     from lbacal.cli.outputs import progress, require_outputs, save_each
+    from lbacal.engine import read_address
     from lbacal_core.lstcurve.curve import read_lst_curve
 
     if (not spectra) == (lst_curve is None):
@@ -87,6 +87,6 @@ def investigate(
     simulation = simulation_of(instrument or "lofar-superterp", sky_power)
     with progress() as tell:
         measured = read_lst_curve(lst_curve) if lst_curve else read_selected(files, selection, time.time(), tell)
-        found = investigate_data(measured, simulation, None, with_, band, tell=tell)
+        found = investigate_data(measured, simulation, None, with_, band, dask=read_address(dask), tell=tell)
     save_each(found, outputs)
     print("\n".join([f"{found.verdict}; wrote {report}{f' and {html}' if html else ''}", *found.lines]))

@@ -282,7 +282,7 @@ def status(as_json: Json = False) -> None:
 
     Example: lbacal status
 
-    It exits with 0 if the service is ready, else with 1.
+    Exit 1 if it is not ready.
     """
     with Client(tries=1) as client:
         state = client.get("/v1/status")

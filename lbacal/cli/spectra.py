@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 from functools import partial
 from pathlib import Path
@@ -11,7 +10,9 @@ from typing import Annotated, Any
 
 import typer
 
+from lbacal.cli.options import Dask
 from lbacal.cli.outputs import progress, require_outputs
+from lbacal.engine import Engine, read_address
 from lbacal.files import written_beside
 from lbacal_core.spectra.spectra import Spectra
 
@@ -48,9 +49,7 @@ def spectra(
     url: Annotated[
         str | None, typer.Option(help="Send the spectra to this service as well (key: LBACAL_API_KEY).")
     ] = None,
-    dask: Annotated[
-        str | None, typer.Option(help="Address of a dask scheduler, or local; LBACAL_DASK by default.")
-    ] = None,
+    dask: Dask = None,
 ) -> None:
     """Clean and average raw antenna traces to background spectra, one spectrum a trace.
 
@@ -84,8 +83,8 @@ def spectra(
         _draw(work[0], settings, inspect)
     if output is not None:
         longitude = chain.longitude_deg if chain else LOFAR_CORE_LONGITUDE_DEG
-        address = dask or os.environ.get("LBACAL_DASK") or None
-        measured = _reduce(work, settings, facts, output, longitude, address, failures)
+        with Engine(read_address(dask)) as engine:
+            measured = _reduce(work, settings, facts, output, longitude, engine, failures)
         if url is not None:
             from lbacal.cli.client import print_warnings
             from lbacal.client import Client
@@ -122,7 +121,7 @@ def _reduce(
     facts: Any,
     output: Path,
     longitude: float,
-    dask: str | None,
+    engine: Engine,
     failures: list[dict[str, str]],
 ) -> Spectra:
     """Measure all station events, cut the anomalous, write spectra and report."""
@@ -135,7 +134,7 @@ def _reduce(
     records: list[dict[str, Any]] = []
     with progress(len(work)) as tell:
         say = tell if sys.stdout.isatty() else partial(print, flush=True)
-        for event, result, is_old in batch.run(dask):
+        for event, result, is_old in batch.run(engine):
             if isinstance(result, str):
                 failures.append({"event_id": event.event_id, "station": event.station, "error": result})
                 say(f"{event.name}: failed: {result}")

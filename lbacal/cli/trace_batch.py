@@ -1,15 +1,15 @@
-"""Many station events to backgrounds: resumable, here or on the machines of a dask scheduler."""
+"""Many station events to backgrounds: resumable, by whatever engine."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from lbacal.engine import HERE, Engine
 from lbacal.files import written_beside
-from lbacal_core.errors import LbacalError, MissingExtraError
+from lbacal_core.errors import LbacalError
 from lbacal_core.provenance import hash_content
 from lbacal_core.traces.assembly import record_background
 from lbacal_core.traces.background import CleaningSettings, measure_background
@@ -20,10 +20,6 @@ Work = tuple[StationEvent, float | None]
 
 METHOD = 2
 """Raised when the same traces and settings give other spectra, so that kept parts are made anew."""
-
-RETRIES = 5
-LOCAL = "local"
-"""In the place of an address: dask's workers are processes of this machine, one a core."""
 
 
 class TraceBatch:
@@ -38,8 +34,11 @@ class TraceBatch:
         self.settings = settings
         self.folder = folder
 
-    def run(self, dask_address: str | None = None) -> Iterator[tuple[StationEvent, list[dict[str, Any]] | str, bool]]:
-        """Yield every station event with its records, or one sentence why it failed, and whether it was done before."""
+    def run(self, engine: Engine = HERE) -> Iterator[tuple[StationEvent, list[dict[str, Any]] | str, bool]]:
+        """Yield every station event with its records, or one sentence why it failed, and whether it was done before.
+
+        The workers of dask read the files themselves, under the same paths.
+        """
         self.folder.mkdir(parents=True, exist_ok=True)
         waiting = []
         for item in self.work:
@@ -48,9 +47,8 @@ class TraceBatch:
                 yield item[0], json.loads(part.read_text()), True
             else:
                 waiting.append(item)
-        here = ((item, reduce_station_event(item, self.settings)) for item in waiting)
-        results = here if dask_address is None else _run_on_dask(waiting, self.settings, dask_address)
-        for item, result in results:
+        for number, result in engine.spread(reduce_station_event, self.settings, waiting, _tell_failure):
+            item = waiting[number]
             if not isinstance(result, str):
                 with written_beside(self._part(item)) as beside:
                     beside.write_text(json.dumps(result, allow_nan=False))
@@ -72,9 +70,10 @@ class TraceBatch:
         return self.folder / f"{event.event_id}-{event.station}-{hash_content(identity)[:16]}.json"
 
 
-def reduce_station_event(item: Work, settings: CleaningSettings) -> list[dict[str, Any]] | str:
+def reduce_station_event(
+    settings: CleaningSettings, event: StationEvent, pulse_unix: float | None
+) -> list[dict[str, Any]] | str:
     """Measure one station event; a failure is returned as its sentence, so that one bad file stops nothing."""
-    event, pulse_unix = item
     try:
         backgrounds = measure_background(event.references, settings, pulse_unix)
     except (LbacalError, OSError) as error:
@@ -82,25 +81,5 @@ def reduce_station_event(item: Work, settings: CleaningSettings) -> list[dict[st
     return [record_background(event, background, settings) for background in backgrounds]
 
 
-def _run_on_dask(
-    work: Sequence[Work], settings: CleaningSettings, address: str
-) -> Iterator[tuple[Work, list[dict[str, Any]] | str]]:
-    """Send station events to a dask scheduler, or to workers started here; events of a worker that dies go to another.
-
-    The workers read the files themselves, under the same paths. Results arrive as they finish and are kept at once.
-    """
-    if find_spec("distributed") is None:
-        raise MissingExtraError(f"work on dask ({address})", "dask")
-    from distributed import Client, as_completed
-
-    here = {"threads_per_worker": 1, "dashboard_address": None}
-    with Client(**here) if address == LOCAL else Client(address) as client:
-        futures = {
-            client.submit(reduce_station_event, item, settings, retries=RETRIES, pure=False): item for item in work
-        }
-        for future in as_completed(futures):
-            if future.status == "error":
-                yield futures[future], f"the work failed on dask: {future.exception()}"
-            else:
-                yield futures[future], future.result()
-            future.release()
+def _tell_failure(error: BaseException) -> str:
+    return f"the work failed on dask: {error}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,10 +15,13 @@ from lbacal_core.discovery.antennas import AntennaScore
 from lbacal_core.discovery.findings import Finding, gain_in_chi_squared
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
 from lbacal_core.discovery.refit import FittedModel, fit_chain, refit, refit_over_noise
-from lbacal_core.discovery.report import plain_parameters
+from lbacal_core.discovery.report import Search, StationContent, describe_station, plain_parameters, prepare_search
 from lbacal_core.discovery.scan import list_families, overlap
 from lbacal_core.discovery.search import StationReport
+from lbacal_core.discovery.station import Station
 from lbacal_core.grids import Floats
+from lbacal_core.simulation.simulation import Simulation
+from lbacal_core.spectra.spectra import Spectra
 
 KNOWN_CHANGE = (0.5, 2.0)
 """Factors on the power between which a structure may be taken out of the data."""
@@ -120,38 +123,56 @@ def _nearest_templates(model: FittedModel, found: Hypothesis, others: Sequence[C
     return {name: template for name, (_, template) in best.items()}
 
 
-def add_left_open(content: dict[str, Any], reports: Sequence[StationReport]) -> dict[str, Any]:
-    """A report as JSON values with what it leaves open, each with its change of C.
+Each = Callable[
+    [Callable[[Search, Station, Spectra], StationContent], Search, Iterable[tuple[Station, Spectra]]],
+    Iterable[StationContent],
+]
+"""Searches the stations of an investigation, here or elsewhere, and gives them in their order."""
+
+
+def investigate_openly(
+    spectra: Spectra,
+    simulation: Simulation,
+    *,
+    progress: Callable[[str], None] = lambda _: None,
+    each: Each | None = None,
+) -> dict[str, Any]:
+    """`report.investigate` as JSON values, with what the report leaves open, each with its change of C.
 
     A finding of the catalogue gets `left_open`: itself with the weight 1, then what the data cannot tell apart from it.
     Structure without a name gets `d_ln_c`: the change of C if it is taken out of the data.
     """
+    search, stations = prepare_search(spectra, simulation)
+    if each is None:
+        return search.join([search_openly(search, *one, progress) for one in stations])
+    return search.join(list(each(search_openly, search, stations)))
+
+
+def search_openly(
+    search: Search, station: Station, own: Spectra, progress: Callable[[str], None] = lambda _: None
+) -> StationContent:
+    """Search one station, and describe it with what that leaves open."""
+    report = search.run(station, own, progress)
     # The products are small: threads of the linear algebra would wait for each other.
     with threadpool_limits(1):
-        return _add_left_open(content, reports)
+        return _add_left_open(describe_station(report), report)
 
 
-def _add_left_open(content: dict[str, Any], reports: Sequence[StationReport]) -> dict[str, Any]:
-    findings = [dict(finding) for finding in content["findings"]]
-    stations = [dict(station) for station in content["stations"]]
-    for station, report in zip(stations, reports, strict=True):
-        for number in station["findings"]:
-            found = find_value(report, findings[number])
-            if isinstance(found, Finding):  # of antennas that are compared and of records, nothing is open
-                names = [name for name, _ in found.indistinguishable]
-                others = [one for one in report.catalogue if one.identifier in names]
-                without = _without(report.last, found.hypothesis)
-                hypotheses = weigh_alternatives(without, report.last, found.hypothesis, others)
-                findings[number]["left_open"] = [_describe(one) for one in hypotheses]
-        if station["unexplained"] is not None:
-            change = _change_by_structure(report)
-            station["unexplained"] = {
-                **station["unexplained"],
-                "d_ln_c": None if change is None else {dipole: one.tolist() for dipole, one in change.items()},
-            }
-    left = [station["unexplained"] for station in stations if station["unexplained"] is not None]
-    unexplained = min(left, key=lambda one: float(one["p_value"]), default=None)
-    return {**content, "findings": findings, "stations": stations, "unexplained": unexplained}
+def _add_left_open(content: StationContent, report: StationReport) -> StationContent:
+    for finding in content.findings:
+        found = find_value(report, finding)
+        if isinstance(found, Finding):  # of antennas that are compared and of records, nothing is open
+            names = [name for name, _ in found.indistinguishable]
+            others = [one for one in report.catalogue if one.identifier in names]
+            without = _without(report.last, found.hypothesis)
+            hypotheses = weigh_alternatives(without, report.last, found.hypothesis, others)
+            finding["left_open"] = [_describe(one) for one in hypotheses]
+    if content.station["unexplained"] is not None:
+        change = _change_by_structure(report)
+        content.station["unexplained"]["d_ln_c"] = (
+            None if change is None else {dipole: one.tolist() for dipole, one in change.items()}
+        )
+    return content
 
 
 def find_value(report: StationReport, finding: Mapping[str, Any]) -> FoundValue:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
 from typing import Any
@@ -32,7 +32,7 @@ from lbacal_core.discovery.policy import JUDGE, Policy
 from lbacal_core.discovery.residual_structure import ResidualStructure
 from lbacal_core.discovery.scan import Score
 from lbacal_core.discovery.search import StationReport, put_into_words, search_station
-from lbacal_core.discovery.station import gather_stations, model_modes
+from lbacal_core.discovery.station import Station, gather_stations, model_modes
 from lbacal_core.grids import Floats, require_same_grid
 from lbacal_core.instrument.chain import BEHIND, PUBLISHED
 from lbacal_core.provenance import Provenance
@@ -49,29 +49,53 @@ NOISY = 1.1
 """Noise of a path over the typical one beyond which the report names the path."""
 
 
-def describe(reports: Sequence[StationReport], provenance: Provenance) -> dict[str, Any]:
+@dataclass(frozen=True)
+class StationContent:
+    """What one station adds to a report, as JSON values.
+
+    Attributes
+    ----------
+    findings
+        In the order in which the search lists them.
+    station, noise, scores, adopted
+        Its entries in the fields `stations`, `noise`, `scores` and `adopted`.
+    """
+
+    findings: Sequence[dict[str, Any]]
+    station: dict[str, Any]
+    noise: dict[str, Any]
+    scores: list[dict[str, Any]]
+    adopted: list[dict[str, Any]]
+
+
+def describe_station(report: StationReport) -> StationContent:
+    """What a station adds to the report."""
+    findings = [_finding(finding, report) for finding in report.findings]
+    findings += [_antenna_finding(score, report) for score in report.antennas]
+    findings += [_record_finding(one, report) for one in report.record]
+    station = {
+        "station": report.station.name,
+        "verdict": _verdict(report),
+        "findings": [],  # their numbers, once those of all stations are in one order
+        "unexplained": None if report.structure is None else _unexplained(report.structure, report),
+        "unidentifiable": [{"cause": cause, "why": why} for cause, why in sorted(report.unidentifiable.items())],
+        "deaf": report.deaf,
+        "paths": len(report.station.antenna),
+        "events": len(report.station.event_id),
+        "dates": [_date(float(pick(report.station.conditions.time_unix))) for pick in (np.min, np.max)],
+        "picture": picture_station(report),
+    }
+    adopted = [describe_size(size) for size in report.adopted]
+    return StationContent(findings, station, _noise(report), _scores(report), adopted)
+
+
+def join(described: Sequence[StationContent], provenance: Provenance) -> dict[str, Any]:
     """The report of all stations as JSON values; the fields of the whole are the union of those of the stations."""
-    found: list[tuple[dict[str, Any], str]] = []
-    for report in reports:
-        of_station = [_finding(finding, report) for finding in report.findings]
-        of_station += [_antenna_finding(score, report) for score in report.antennas]
-        of_station += [_record_finding(one, report) for one in report.record]
-        found += [(finding, report.station.name) for finding in of_station]
+    found = [(finding, one.station["station"]) for one in described for finding in one.findings]
     found.sort(key=lambda pair: -pair[0]["significance_sigma"])
     stations: list[dict[str, Any]] = [
-        {
-            "station": report.station.name,
-            "verdict": _verdict(report),
-            "findings": [k for k, (_, name) in enumerate(found) if name == report.station.name],
-            "unexplained": None if report.structure is None else _unexplained(report.structure, report),
-            "unidentifiable": [{"cause": cause, "why": why} for cause, why in sorted(report.unidentifiable.items())],
-            "deaf": report.deaf,
-            "paths": len(report.station.antenna),
-            "events": len(report.station.event_id),
-            "dates": [_date(float(pick(report.station.conditions.time_unix))) for pick in (np.min, np.max)],
-            "picture": picture_station(report),
-        }
-        for report in reports
+        {**one.station, "findings": [k for k, (_, name) in enumerate(found) if name == one.station["station"]]}
+        for one in described
     ]
     left = [station["unexplained"] for station in stations if station["unexplained"] is not None]
     several = len(stations) > 1
@@ -85,8 +109,8 @@ def describe(reports: Sequence[StationReport], provenance: Provenance) -> dict[s
             for reason in station["unidentifiable"]
         ],
         "stations": stations,
-        "noise": {report.station.name: _noise(report) for report in reports},
-        "scores": {report.station.name: _scores(report) for report in reports},
+        "noise": {one.station["station"]: one.noise for one in described},
+        "scores": {one.station["station"]: one.scores for one in described},
         "provenance": {**provenance.as_dict(), "judge": JUDGE},
     }
 
@@ -451,6 +475,85 @@ def plain_parameters(parameters: Mapping[str, Any]) -> dict[str, Any]:
 # The entry of an investigation: search station by station for what the simulation of the spectra gets wrong.
 
 
+@dataclass(frozen=True)
+class Search:
+    """The search of the stations of an investigation, each by itself, in whatever process.
+
+    Attributes
+    ----------
+    simulation
+        In the form of the chain that the spectra of all stations leave open.
+    stations
+        How many there are: they share the false-alarm rate.
+    seed
+        Seed of the simulated trials factors.
+    provenance
+        That of the whole report.
+    """
+
+    simulation: Simulation
+    stations: int
+    seed: int
+    provenance: Provenance
+
+    def run(self, station: Station, own: Spectra, progress: Callable[[str], None] = lambda _: None) -> StationReport:
+        """Search one station; `own` are its spectra as they were recorded."""
+        simulation = self.simulation
+        search = partial(
+            search_station, stations=self.stations, seed=self.seed, policy=Policy(), progress=progress,
+            model=simulation.causes, catalogue=simulation.catalogue,
+        )  # fmt: skip
+        known = simulation.differences
+        # The products are small: threads of the linear algebra would wait for each other.
+        with threadpool_limits(1):
+            report = search(station, modes=None if known is None else model_modes(station, known))
+            if report.structure is not None and simulation.is_own_sky:
+                progress(f"{station.name}: asking whether its record is wrong")
+                report = _search_put_right(own, simulation, search) or report
+            if report.structure is not None:
+                progress(f"{station.name}: describing structure that no cause explains")
+            return put_into_words(report, self.seed)
+
+    def join(self, described: Sequence[StationContent]) -> dict[str, Any]:
+        """The report of all stations as JSON values."""
+        content, model = join(described, self.provenance), self.simulation.causes
+        if model.is_plain:
+            return content
+        return {**content, "model": model.to_text(), "adopted": [size for one in described for size in one.adopted]}
+
+
+def prepare_search(
+    spectra: Spectra, simulation: Simulation, seed: int = 0
+) -> tuple[Search, Iterator[tuple[Station, Spectra]]]:
+    """Prepare the search of every station; parameters as in `investigate`.
+
+    Returns
+    -------
+    The search, and the arguments of its `run`, station by station.
+    """
+    name = f"instrument {simulation.instrument.name}"
+    require_same_grid(spectra.origin, spectra.frequency_mhz, simulation.instrument.frequency_mhz, name)
+    form = compare_forms(spectra, simulation)
+    simulation = simulation.with_form(BEHIND if form.is_open(BEHIND) else PUBLISHED)
+    model = {} if simulation.causes.is_plain else {"model": simulation.causes.id}
+    with threadpool_limits(1):
+        stations = gather_stations(spectra, simulation)
+    provenance = Provenance(
+        inputs={
+            "spectra": spectra.digest(),
+            "instrument": simulation.instrument.digest(),
+            "sky_power": simulation.sky_power.digest(),
+            **model,
+        },
+        settings={
+            "policy": Policy().as_dict(), "seed": seed, "own_sky": simulation.is_own_sky, **simulation.own_causes
+        },
+        notes={FORM_OF_CHAIN: str(form), "sky_power": simulation.sky_power.note_for(simulation.instrument)},
+    )  # fmt: skip
+    own = (spectra.select(np.flatnonzero(spectra.station == station.name)) for station in stations)
+    return Search(simulation, len(stations), seed, provenance), zip(stations, own, strict=True)
+
+
 def investigate(
     spectra: Spectra,
     simulation: Simulation,
@@ -475,48 +578,9 @@ def investigate(
     -------
     The report as JSON values, and the values of each station from which it was made.
     """
-    name = f"instrument {simulation.instrument.name}"
-    require_same_grid(spectra.origin, spectra.frequency_mhz, simulation.instrument.frequency_mhz, name)
-    policy = Policy()
-    form = compare_forms(spectra, simulation)
-    simulation = simulation.with_form(BEHIND if form.is_open(BEHIND) else PUBLISHED)
-    known, model = simulation.differences, simulation.causes
-    # The products are small: threads of the linear algebra would wait for each other.
-    with threadpool_limits(1):
-        stations = gather_stations(spectra, simulation)
-        search = partial(
-            search_station,
-            stations=len(stations),
-            seed=seed,
-            policy=policy,
-            progress=progress,
-            model=model,
-            catalogue=simulation.catalogue,
-        )
-        reports = []
-        for station in stations:
-            report = search(station, modes=None if known is None else model_modes(station, known))
-            if report.structure is not None and simulation.is_own_sky:
-                progress(f"{station.name}: asking whether its record is wrong")
-                own = spectra.select(np.flatnonzero(spectra.station == station.name))
-                report = _search_put_right(own, simulation, search) or report
-            if report.structure is not None:
-                progress(f"{station.name}: describing structure that no cause explains")
-            reports.append(put_into_words(report, seed))
-    provenance = Provenance(
-        inputs={
-            "spectra": spectra.digest(),
-            "instrument": simulation.instrument.digest(),
-            "sky_power": simulation.sky_power.digest(),
-        },
-        settings={"policy": policy.as_dict(), "seed": seed, "own_sky": simulation.is_own_sky, **simulation.own_causes},
-        notes={FORM_OF_CHAIN: str(form), "sky_power": simulation.sky_power.note_for(simulation.instrument)},
-    )
-    if model.is_plain:
-        return describe(reports, provenance), reports
-    provenance = replace(provenance, inputs={**provenance.inputs, "model": model.id})
-    adopted = [describe_size(size) for report in reports for size in report.adopted]
-    return {**describe(reports, provenance), "model": model.to_text(), "adopted": adopted}, reports
+    search, stations = prepare_search(spectra, simulation, seed)
+    reports = [search.run(station, own, progress) for station, own in stations]
+    return search.join([describe_station(one) for one in reports]), reports
 
 
 def _search_put_right(

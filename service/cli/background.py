@@ -9,6 +9,7 @@ import threading
 
 import structlog
 
+from lbacal.engine import Engine, read_address
 from lbacal_core.errors import LbacalError
 from service.cli.opening import open_factory
 from service.factory import Factory
@@ -24,7 +25,7 @@ def main() -> None:
     stop = threading.Event()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
-        factory = open_factory()
+        factory = open_factory(Engine(read_address()))
     except LbacalError as error:
         log.error("scheduler and worker cannot start", error=str(error))  # noqa: TRY400 - the sentence says it all
         sys.exit(1)

@@ -61,6 +61,22 @@ def backup(output: Annotated[Path, typer.Argument(help="File to write.")]) -> No
 
 
 @db.command()
+def copy(
+    target: Annotated[str, typer.Argument(help="Database to fill: a file, or postgresql://user@host/name.")],
+) -> None:
+    """Copy everything into an empty database, from SQLite to PostgreSQL or back; stop the service first.
+
+    Example: lbacal db copy postgresql://lbacal@127.0.0.1/lbacal
+    """
+    from service.config import Settings
+    from service.storage.database import Database
+    from service.storage.migration import copy_database
+
+    copied = copy_database(_factory().database, Database(Settings(database_url=target).sqlalchemy_url))
+    print(f"{copied:,} rows copied: set LBACAL_DATABASE_URL to the copy")
+
+
+@db.command()
 def repair_clock() -> None:
     """Move promotions, tags and models that a server's clock ahead wrote to now, by the database's clock, in order.
 

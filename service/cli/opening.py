@@ -6,6 +6,8 @@ import sys
 import time
 from typing import TYPE_CHECKING
 
+from lbacal.engine import HERE, Engine
+
 if TYPE_CHECKING:
     from service.factory import Factory
     from service.storage.database import Database
@@ -13,7 +15,7 @@ if TYPE_CHECKING:
 PAUSE_S = 1.0
 
 
-def open_factory() -> Factory:
+def open_factory(engine: Engine = HERE) -> Factory:
     """The use cases on the database of the settings; what is wrong with the settings shows here, not in a later run."""
     from service.config import read_settings
     from service.factory import Factory
@@ -21,7 +23,7 @@ def open_factory() -> Factory:
 
     settings = read_settings()
     configure_logs(settings.log_level)
-    factory = Factory(settings)
+    factory = Factory(settings, engine=engine)
     # an instrument or sky file that is missing or wrong is noticed before anything is promised
     _ = factory.instrument if settings.sky_power is None else factory.simulation.sky_power
     wait_for_database(factory.database, settings.wait_s)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from lbacal.engine import HERE, Engine, read_address
 from lbacal_core.errors import LbacalError
 
 if TYPE_CHECKING:
@@ -45,20 +46,23 @@ def worker(
     """Do refits. Any number of workers may run, on any machine that reaches the database.
 
     Example: lbacal worker
+
+    With LBACAL_DASK it computes on dask, a part a thread.
     """
     if check:
         _check("worker")
         return
     from service.worker import Worker
 
-    Worker(_open()).run(_stop_on_signal(), until_idle=until_idle)
+    with Engine(read_address()) as engine:
+        Worker(_open(engine)).run(_stop_on_signal(), until_idle=until_idle)
 
 
-def _open() -> Factory:
+def _open(engine: Engine = HERE) -> Factory:
     from service.cli.opening import open_factory
     from service.storage.migration import require_current
 
-    factory = open_factory()
+    factory = open_factory(engine)
     require_current(factory.database)
     return factory
 

@@ -78,9 +78,9 @@ def _describe_cause(cause: Cause | AntennaCause) -> str:
     found = (
         f"Targets: {targets}. Axes: {', '.join(cause.axes)}.",
         f"Templates: {tried}" if tried and not is_one else "",
-        f"To confirm: {cause.confirm}.",
+        f"Confirm: {cause.confirm}.",
     )
-    return f"\n## {cause.identifier}\n{says} ({cause.unit}).{does}\n- {' '.join(filter(None, found))}\n"
+    return f"\n## {cause.identifier}\n{says} ({cause.unit}).{does}\n\n{' '.join(filter(None, found))}\n"
 
 
 ANY = {"path", "antenna", "group", "cable", "station"}
@@ -109,7 +109,7 @@ def _describe(path: list[str], command: Any) -> Iterator[str]:
     shown = set(re.findall(r"--[a-z-]+", command.help or ""))
     others = [one for one in command.params if not _is_argument(one) and one.name not in OF_ALL]
     options = ", ".join(_name_option(one) for one in others if not shown & set(one.opts))
-    yield f"Other options: {options}\n" if options else ""
+    yield f"Also {options}\n" if options else ""
     for name, one in getattr(command, "commands", {}).items():
         yield from _describe([*path, name], one)
 

@@ -369,6 +369,7 @@ alarm = _table(
     Column("known_why", Text),
     Column("known_until_us", BigInteger, comment="null is for good"),
     Index(None, "kind", "scope"),
+    Index(None, "station", "id"),
 )
 
 

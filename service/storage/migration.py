@@ -12,11 +12,11 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sqlalchemy import inspect, make_url, text
+from sqlalchemy import func, inspect, make_url, select, text
 
 from lbacal.files import written_beside
 from lbacal_core.errors import BadInputError
-from service.errors import UnavailableError
+from service.errors import ConflictError, UnavailableError
 from service.schema.tables import metadata
 from service.storage.database import Database, explaining_failures
 
@@ -126,3 +126,36 @@ def copy_sqlite(url: str, output: Path) -> int:
             return beside.stat().st_size
     except sqlite3.Error as error:
         raise UnavailableError(f"the database could not be copied: {error}") from error
+
+
+# Growing from one kind of database to the other.
+
+ROWS_AT_ONCE = 5000
+LEFT_BEHIND = ("process",)
+"""What lives on the database that is copied is not alive on the copy."""
+
+
+def copy_database(source: Database, target: Database) -> int:
+    """Copy every row into an empty database, of whichever kind, whole or not at all; how many.
+
+    The source is seen at one instant, and has to have the schema of this version. The target is given it.
+    """
+    require_current(source)
+    upgrade(target)
+    copied, tables = 0, [table for table in metadata.sorted_tables if table.name not in LEFT_BEHIND]
+    with explaining_failures(), source.connect() as here, target.engine.begin() as there:
+        if there.dialect.name == "postgresql":
+            there.execute(text("SET LOCAL statement_timeout = 0"))
+        if any(there.execute(select(table).limit(1)).first() is not None for table in tables):
+            raise ConflictError("the database to copy into is not empty")
+        for table in tables:
+            rows = here.execution_options(yield_per=ROWS_AT_ONCE).execute(select(table)).mappings()
+            for some in rows.partitions():
+                there.execute(table.insert(), [dict(row) for row in some])
+                copied += len(some)
+            number = table.autoincrement_column
+            if number is not None and there.dialect.name == "postgresql":  # new rows are numbered after those copied
+                sequence = func.pg_get_serial_sequence(table.name, number.name)
+                newest = select(func.max(number)).scalar_subquery()
+                there.execute(select(func.setval(sequence, func.coalesce(newest, 1), newest.is_not(None))))
+    return copied

@@ -483,9 +483,9 @@ class SpectraStore(Store):
         """
         return self._count_usable(window).total(), self._last_flag(window)
 
-    def contents(self, since: Instant, until: Instant) -> dict[str, Content]:
-        """`content` of all stations that hold usable spectra, in alphabetical order."""
-        window = Window(since, until)
+    def contents(self, since: Instant, until: Instant, station: str | None = None) -> dict[str, Content]:
+        """`content` of one station or of all, of those that hold usable spectra, in alphabetical order."""
+        window = Window(since, until, Scope(station))
         flag = self._last_flag(window)
         return {station: (count, flag) for station, count in sorted(self._count_usable(window).items()) if count}
 

@@ -192,7 +192,7 @@ class Alarms:
         """List alarms, newest first."""
         with self.database.read() as stores:
             found = stores.alarms.newest(asked, self.clock())
-        waiting = self.changes.waiting()
+        waiting = self.changes.waiting(asked.station)
         return [_with_state(one, waiting) for one in found]
 
     def acknowledge(self, number: int, body: AcknowledgementBody, by: str) -> Alarm:

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from lbacal.instants import SECOND_US
+from lbacal_core.causes.model import Model
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.drift.events import EventModes, add_events, average_months, measure_event_modes
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import hash_content
-from lbacal_core.spectra.blocks import SpectraBlock, split_into_blocks
+from lbacal_core.spectra.blocks import split_into_blocks
 from lbacal_core.spectra.screening import LARGEST_SHARE_OF_LATER, screen_block
+from lbacal_core.spectra.spectra import Spectra
 from service.storage.database import Database, Stores
 from service.storage.drift import NUMBERS, PathMonths
 from service.storage.jobs import Part
@@ -81,14 +83,12 @@ class DriftMeasurement:
             }
             for dipole in simulation.instrument.dipoles
         }
-        events = None if later is None else self._add(block, later, curves)
+        events = None if later is None else self.fits.elsewhere(_add, block, later, curves)
         if later is None or events is None:
             with self.database.read() as stores:
                 channels, resistance = simulation.instrument.frequency_mhz, self.fits.resistance_ohm
                 spectra = stores.spectra.load(window, channels, resistance, with_covariates=not model.is_plain)
-            if spectra is not None and not model.is_plain:  # what an adopted cause does is no drift
-                spectra = self.fits.fit_causes(spectra, model).spectra
-            events = self._measure([] if spectra is None else split_into_blocks(spectra), curves)
+            events = {} if spectra is None else self.fits.elsewhere(_measure, spectra, model, curves)
         else:
             block = replace(block, whole=later.block.whole)
         events = {dipole: modes for dipole, modes in events.items() if modes.antennas.size}
@@ -97,30 +97,32 @@ class DriftMeasurement:
             keep_months(stores, str(station.station), window.since, average(str(station.station), events))
             stores.jobs.complete(part, worker, {"calibrations": []}, self.clock())
 
-    def _add(
-        self, now: Sums, later: Later, curves: Mapping[str, Mapping[int, CalibrationCurve]]
-    ) -> dict[str, EventModes] | None:
-        """The events of a year by dipole, later ones added; None where the whole year is to be read."""
-        if now.spectra > (1.0 + LARGEST_SHARE_OF_LATER) * later.block.whole:
-            return None
-        events = read_events(later.block.arrays)
-        for block in [] if later.spectra is None else split_into_blocks(later.spectra):
-            before = events.get(block.dipole)
-            more = before and add_events(before, block, curves[block.dipole], self.fits.simulation)
-            if more is None:
-                return None
-            events[block.dipole] = more
-        return events
 
-    def _measure(
-        self, blocks: Sequence[SpectraBlock], curves: Mapping[str, Mapping[int, CalibrationCurve]]
-    ) -> dict[str, EventModes]:
-        """The events of the paths of whole blocks that have a reference, by dipole."""
-        simulation, events = self.fits.simulation, {}
-        for block in blocks:
-            screened = screen_block(block, simulation.instrument.at_station(block.station).longitude_deg).block
-            events[block.dipole] = measure_event_modes(screened, curves[block.dipole], simulation)
-        return events
+Curves = Mapping[str, Mapping[int, CalibrationCurve]]
+"""The reference of every path, by dipole and antenna."""
+
+
+def _add(fits: Fits, now: Sums, later: Later, curves: Curves) -> dict[str, EventModes] | None:
+    """The events of a year by dipole, later ones added; None where the whole year is to be read."""
+    if now.spectra > (1.0 + LARGEST_SHARE_OF_LATER) * later.block.whole:
+        return None
+    events = read_events(later.block.arrays)
+    for block in [] if later.spectra is None else split_into_blocks(later.spectra):
+        before = events.get(block.dipole)
+        more = before and add_events(before, block, curves[block.dipole], fits.simulation)
+        if more is None:
+            return None
+        events[block.dipole] = more
+    return events
+
+
+def _measure(fits: Fits, spectra: Spectra, model: Model, curves: Curves) -> dict[str, EventModes]:
+    """The events of the paths that have a reference, by dipole; what an adopted cause does is no drift."""
+    simulation, events = fits.simulation, {}
+    for block in split_into_blocks(spectra if model.is_plain else fits.fit_causes(spectra, model).spectra):
+        screened = screen_block(block, simulation.instrument.at_station(block.station).longitude_deg).block
+        events[block.dipole] = measure_event_modes(screened, curves[block.dipole], simulation)
+    return events
 
 
 def write_events(events: Mapping[str, EventModes]) -> dict[str, Any]:

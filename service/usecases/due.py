@@ -67,7 +67,7 @@ class DueWork:
             stores.jobs.drop_outdated(self._inputs.text, self.clock())
             judge_far(stores)
         with self.database.read() as stores:
-            orders = [*self._refits(stores), *self._drift(stores, stores.spectra.stations())]
+            orders = [*self._refits(stores), *self._drift(stores)]
             orders += self._investigations(stores)
         return self._add(orders) or self.enqueue_watch()
 
@@ -98,7 +98,7 @@ class DueWork:
         orders = list[Order]()
         with self.database.read() as stores:
             if part.request.get("scope") == "antenna":
-                orders += self._drift(stores, [part.request["station"]])
+                orders += self._drift(stores, part.request["station"])
             if part.kind in (WATCH, REFIT) and not stores.jobs.is_open(REFIT):
                 due = self._refits(stores)
                 orders += [one for one in due if _is_changed(one) or stores.jobs.called_for(one) is not None]
@@ -154,9 +154,10 @@ class DueWork:
         }
         return self._order(REFIT, part, called_for)
 
-    def _drift(self, stores: Stores, stations: list[str]) -> Iterator[Order]:
-        held = {years: stores.spectra.contents(*years) for years in find_years(stores)}
-        for station in stations:
+    def _drift(self, stores: Stores, of: str | None = None) -> Iterator[Order]:
+        """What is due of one station or of all."""
+        held = {years: stores.spectra.contents(*years, of) for years in find_years(stores)}
+        for station in stores.spectra.stations() if of is None else [of]:
             references = find_references(stores, self.simulation.instrument, station)
             for since, until in held if references else ():
                 if (content := held[since, until].get(station)) is None:

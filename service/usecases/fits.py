@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from lbacal.engine import HERE, Engine, Result
 from lbacal.instants import SECOND_US, format_instant
 from lbacal_core.audit.audit import QuickAudit, audit_quickly
 from lbacal_core.calibration.budget import add_budget, compute_budget
@@ -125,6 +126,12 @@ class Fits:
     clock: Callable[[], Instant]
     read: Remembered[Read, Spectra] = field(default_factory=lambda: Remembered(1))
     fitted: Remembered[tuple[Any, ...], FittedCauses] = field(default_factory=lambda: Remembered(1))
+    engine: Engine = HERE
+
+    def elsewhere(self, function: Callable[..., Result], *of: Any) -> Result:
+        """`function(fits, *of)` where the engine does it, by the clock of this process."""
+        made: Result = self.engine.call(_do_at, self, self.clock(), function, *of)
+        return made
 
     def load(self, stores: Stores, wanted: Wanted) -> Spectra:
         """The spectra of a fit, or an error where there is none.
@@ -326,6 +333,10 @@ class Fits:
             of_piece = fitted if np.all(rows.rows) else fitted.select(rows.rows)
             during = replace(wanted, since=round(rows.since_unix * SECOND_US), until=round(rows.until_unix * SECOND_US))
             yield of_piece, spectra if np.all(rows.rows) else of_piece.recorded, during
+
+
+def _do_at(fits: Fits, now: Instant, function: Callable[..., Result], *of: Any) -> Result:
+    return function(replace(fits, clock=lambda: now), *of)
 
 
 def _take_out(whole: FittedCauses, wanted: Wanted, neighbours: Neighbours) -> FittedCauses:

@@ -89,7 +89,7 @@ class Investigations:
         with self.database.read() as stores:
             made = stores.investigations.find(name)
         if made is None:
-            report = self._investigate(spectra, model)
+            report = self.fits.elsewhere(_investigate, spectra, model)
             made = Investigation(name, station, since, until, inputs, report, self.clock(), part.by, part.reason)
         with self.database.write() as stores:
             stores.investigations.add(made)
@@ -107,18 +107,17 @@ class Investigations:
             **({} if model.is_plain else {"model": model.id}),
         }
 
-    def _investigate(self, spectra: Spectra, model: Model) -> dict[str, Any]:
-        from lbacal_core.discovery.left_open import add_left_open
-        from lbacal_core.discovery.report import investigate  # a second to import, and only workers need it
-
-        known = self.simulation.with_causes(model).smeared(spectra)
-        return add_left_open(*investigate(spectra, known))
-
     def news(self) -> list[StationNews]:
         """The newest investigation of every station against the one before."""
         with self.database.read() as stores:
             pairs = stores.investigations.newest_pairs()
         return [tell_news(newest, before) for newest, before in pairs]
+
+
+def _investigate(fits: Fits, spectra: Spectra, model: Model) -> dict[str, Any]:
+    from lbacal_core.discovery.left_open import investigate_openly  # a second to import, and only workers need it
+
+    return investigate_openly(spectra, fits.simulation.with_causes(model).smeared(spectra))
 
 
 def describe_part(station: str, since: Instant, until: Instant) -> dict[str, Any]:

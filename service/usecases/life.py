@@ -82,7 +82,7 @@ class Lives:
             [_follow(one, answering[str(one.calibration)], of_antenna) for one in stretches],
             versions,
             sorted(changes, key=lambda one: one.change.date),
-            [one for one in self.models.history() if one.change.station == station][::-1],
+            [] if station is None else self.models.history(station)[::-1],
             [one for one in alarms if one.news.scope in scope.widening or scope in one.news.scope.widening][::-1],
             list(made)[::-1],
         )

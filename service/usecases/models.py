@@ -219,10 +219,10 @@ class Models:
                     if version is None or version.model == _name_within(current, version):
                         yield one
 
-    def history(self) -> list[AdoptedModel]:
-        """Every change of a model, newest first, with what its causes gained."""
+    def history(self, station: str | None = None) -> list[AdoptedModel]:
+        """Every change of a model, of one station or of all, newest first, with what its causes gained."""
         with self.database.read() as stores:
-            changes = stores.models.changes()
+            changes = stores.models.changes(station)
             newest = {one.station: one.number for one in changes}
             gains: dict[str, list[Gain]] = {}
             for gain in stores.models.gains():

@@ -8,20 +8,23 @@ from typing import Any
 
 from lbacal.instants import DAY_US
 from lbacal_core.causes.model import Model
-from lbacal_core.curves.covariance import parse_budget
+from lbacal_core.curves.covariance import Budget, parse_budget
 from lbacal_core.curves.validity import Instant, Promotion, Scope, timeline
 from lbacal_core.errors import BadInputError
 from lbacal_core.simulation.simulation import Simulation
+from lbacal_core.spectra.spectra import Spectra
 from service.config import Settings
 from service.errors import ConflictError
 from service.storage.database import Database, Stores
 from service.storage.jobs import Order, Part
+from service.storage.models import Gain
 from service.storage.sums import KeptPiece, Sums, Told, read_pieces
 from service.storage.versions import Examined, Version
 from service.usecases.calibrations import find_slow, group_by_antenna, select_paths
 from service.usecases.fits import (
     SMALLEST_SHIFT,
     Fits,
+    Made,
     TellKey,
     Wanted,
     find_standing,
@@ -93,9 +96,7 @@ class Refits:
             is_alone = part.request.get("fit") == "year"
             neighbours = ALONE if is_alone else self.fits.find_neighbours(stores, wanted)
             known = find_known_until(stores, wanted)
-        whole = self.fits.fit_causes(spectra, wanted.model)
-        made = self.fits.make(whole, wanted, neighbours)
-        gains = measure_payoff(whole, wanted, known, self.simulation, self.clock())
+        made, gains = self.fits.elsewhere(_fit, spectra, wanted, neighbours, known)
         with self.database.write() as stores:
             said = _read_said(stores, block) if part.is_due else {}
             kept = self._keep(stores, made.versions, part, said)
@@ -125,7 +126,7 @@ class Refits:
         if later is None:
             return False
         pieces = read_pieces(later.block.arrays)
-        found = self.fits.examine(pieces, later.spectra, neighbours)
+        found = self.fits.elsewhere(Fits.examine, pieces, later.spectra, neighbours)
         # of what other years changed the whole window is fitted, as it was at first: same input, same id
         if found is None or (found.rest and later.spectra is None):
             return False
@@ -155,7 +156,8 @@ class Refits:
             covariance = before.curves[0].covariance
             name = None if covariance is None else covariance.budget
             budget = None if name is None else parse_budget(stores.budgets.get(name))
-        return self.fits.make(self.fits.fit_causes(spectra, wanted.model), of_path, neighbours, budget).versions
+        made, _ = self.fits.elsewhere(_fit, spectra, of_path, neighbours, {}, budget)
+        return made.versions
 
     def _keep(self, stores: Stores, made: list[Version], part: Part, said: Said) -> _Kept:
         """Store new versions, each with the objection of the gate if promotion was asked for.
@@ -243,6 +245,20 @@ class _Kept:
 
 Said = Mapping[TellKey, Told]
 """What due work put into effect last, by scope and window."""
+
+
+def _fit(
+    fits: Fits,
+    spectra: Spectra,
+    wanted: Wanted,
+    neighbours: Neighbours,
+    known: Mapping[str, Instant],
+    budget: Budget | None = None,
+) -> tuple[Made, list[Gain]]:
+    """What a fit makes of spectra, and what its causes gained."""
+    whole = fits.fit_causes(spectra, wanted.model)
+    made = fits.make(whole, wanted, neighbours, budget)
+    return made, measure_payoff(whole, wanted, known, fits.simulation, fits.clock())
 
 
 def _read_said(stores: Stores, now: Sums) -> Said:

@@ -329,7 +329,7 @@ def make_service(
     def make(spectra: Spectra | None = None, **more: Any) -> Factory:
         # an investigation of a year takes seconds: usecases/test_investigations.py looks at the nightly ones
         quick = {"poll_s": 0.01, "nightly_investigations": False, "sky_power": sky_power_file, **more}
-        made.append(Factory(Settings(database_url=database_url, **quick), clock))
+        made.append(Factory(Settings(**{"database_url": database_url} | quick), clock))
         key = made[-1].simulation.digest, made[-1].settings.causes
         made[-1].simulation = simulations.setdefault(key, replace(made[-1].simulation, most_remembered=64))
         if spectra is not None:

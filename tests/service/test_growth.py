@@ -6,6 +6,7 @@ import json
 import sqlite3
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +17,30 @@ from fastapi.testclient import TestClient
 from sqlalchemy import event
 from sqlalchemy.pool import Pool
 
+from lbacal_core.calibration import chain_form
+from lbacal_core.calibration.budget import compute_budget
+from lbacal_core.curves.covariance import Budget
 from lbacal_core.curves.validity import Promotion, Scope
 from lbacal_core.instrument.instrument import load_instrument
+from lbacal_core.instrument.sidereal import local_sidereal_time
+from lbacal_core.provenance import Remembered
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.power import compute_sky_power
 from lbacal_core.sky.table import write_sky_power
+from lbacal_core.spectra.spectra import Spectra
 from service.app import make_app
 from service.factory import Factory
 from service.scheduler import look_for_due_work
-from tests.service.conftest import CHANNELS, MHZ, flat_spectra, instant, name_in_server, new_version
+from service.usecases import fits
+from tests.service.conftest import (
+    add_spectra,
+    flat_spectra,
+    get_job,
+    instant,
+    name_in_server,
+    new_version,
+    work,
+)
 from validation.running.ledger import open_factory, write_promotions
 from validation.running.postgres import open_databases
 
@@ -33,6 +50,8 @@ MOST_GROWTH = 1.3
 WHOLE = 100
 """Rows that PostgreSQL reads rather than the index of a table of one page, whatever is asked of it."""
 STEPS_AT_ONCE = 10
+FREQUENCY_MHZ = [30.0, 40.0, 50.0, 60.0, 70.0, 80.0]
+CHANNELS = len(FREQUENCY_MHZ)
 DATE, PATH = "2014-06-01", {"station": "CS001", "antenna": 0, "dipole": "X"}
 
 
@@ -73,7 +92,7 @@ def make_instrument(folder: Path, stations: int) -> Path:
     names = [f"CS{k:03d}" for k in range(stations)]
     content = {
         "name": f"{stations} small stations", "latitude_deg": 52.9, "longitude_deg": 6.9, "height_m": 50.0,
-        "frequency_mhz": MHZ, "dipoles": {"X": {"azimuth_deg": 45.0}, "Y": {"azimuth_deg": 135.0}},
+        "frequency_mhz": FREQUENCY_MHZ, "dipoles": {"X": {"azimuth_deg": 45.0}, "Y": {"azimuth_deg": 135.0}},
         "antenna_gain": [0.1] * CHANNELS, "receiver_gain": [1.0] * CHANNELS, "cables": {"80m": [0.5] * CHANNELS},
         "antennas": [{"station": s, "antenna": a, "cable": "80m"} for s in names for a in range(ANTENNAS)],
     }  # fmt: skip
@@ -82,14 +101,40 @@ def make_instrument(folder: Path, stations: int) -> Path:
     return path
 
 
-def work_of(url: str, folder: Path, stations: int, counted: Callable[[Factory], int]) -> dict[str, float]:
+@pytest.fixture
+def quick_fits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fits with the budget of the first, and the published form of the chain: what is fitted is of no matter here."""
+    budgets = Remembered[str, Budget](1)
+    monkeypatch.setattr(fits, "compute_budget", lambda *of: budgets.get("any", lambda: compute_budget(*of)))
+    monkeypatch.setattr(chain_form, "_compare_forms", lambda *_: chain_form.PUBLISHED_FORM)
+
+
+def under_a_sky(spectra: Spectra) -> Spectra:
+    """Spectra that rise and fall once a sidereal day, with 3 % of scatter, so that a night can fit them."""
+    lst = local_sidereal_time(spectra.time_unix, 6.9)
+    scatter = np.random.default_rng(1).normal(1.0, 0.03, (len(spectra), CHANNELS))
+    power = (1.0 + 0.3 * np.cos(2 * np.pi * (lst - 18.0) / 24.0))[:, None] * scatter
+    return replace(spectra, frequency_mhz=np.array(FREQUENCY_MHZ), power=power)
+
+
+def work_of(
+    url: str,
+    folder: Path,
+    stations: int,
+    counted: Callable[[Factory], int],
+    simulations: dict[tuple[str, Any], Simulation],
+) -> dict[str, float]:
     """The counted work of a service with so many stations: of all of it for each, of questions about one as it is."""
     path = make_instrument(folder, stations)
     instrument = load_instrument(str(path))
     sky = folder / f"sky-{stations}.json"
     write_sky_power(compute_sky_power(instrument, lst_hours=np.arange(24.0)), sky)
     names = sorted({record.station for record in instrument.antennas})
-    with open_factory(url, instrument=str(path), sky_power=sky) as factory:
+    with open_factory(url, instrument=str(path), sky_power=sky, nightly_investigations=False) as factory:
+        fitted = replace(factory.simulation, most_remembered=1000)
+        factory.simulation = simulations.setdefault(
+            (fitted.digest, ""), fitted
+        )  # another database has the same spectra
         client = TestClient(make_app(factory))
 
         def ingest() -> None:
@@ -97,8 +142,7 @@ def work_of(url: str, folder: Path, stations: int, counted: Callable[[Factory], 
                 rows = [
                     (f"e{k}", 1.4e9 + 1e5 * k, name, a, d) for k in range(EVENTS) for a in range(ANTENNAS) for d in "XY"
                 ]
-                with factory.database.write() as stores:
-                    stores.spectra.add(flat_spectra(*rows))
+                add_spectra(factory, under_a_sky(flat_spectra(*rows)))
 
         def fill() -> None:
             made = [new_version(Scope(n, a, d), f"{n}-{a}-{d}") for n in names for a in range(ANTENNAS) for d in "XY"]
@@ -110,30 +154,41 @@ def work_of(url: str, folder: Path, stations: int, counted: Callable[[Factory], 
         def ask(address: str, **params: Any) -> Callable[[], Any]:
             return lambda: client.get(address, params=params).raise_for_status()
 
-        def work(do: Callable[[], Any], share: int) -> float:
+        def count(do: Callable[[], Any], share: int) -> float:
             before = counted(factory)
             do()
             return (counted(factory) - before) / share
 
-        found = {"ingest": work(ingest, stations)}
-        found["look"] = work(lambda: look_for_due_work(factory), stations)
-        found["look again"] = work(lambda: look_for_due_work(factory), stations)
+        due: list[int] = []
+
+        def pass_night() -> None:
+            work(factory)
+            ended = {(get_job(factory, job).state, *get_job(factory, job).errors) for job in due}
+            assert ended == {("done",)}
+
+        found = {"ingest": count(ingest, stations)}
+        found["look"] = count(lambda: due.extend(look_for_due_work(factory)), stations)
+        found["look again"] = count(lambda: look_for_due_work(factory), stations)
+        found["night"] = count(pass_night, stations)
         fill()
-        found["effective, all"] = work(ask("/v1/calibrations/effective", at=DATE), stations)
-        found["effective, one path"] = work(ask("/v1/calibrations/effective", at=DATE, **PATH), 1)
-        found["life"] = work(ask("/v1/paths/CS001/0/X/life"), 1)
-        found["events"] = work(ask("/v1/events"), stations)
+        found["effective, all"] = count(ask("/v1/calibrations/effective", at=DATE), stations)
+        found["effective, one path"] = count(ask("/v1/calibrations/effective", at=DATE, **PATH), 1)
+        found["life"] = count(ask("/v1/paths/CS001/0/X/life"), 1)
+        found["events"] = count(ask("/v1/events"), stations)
         return found
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
-def test_fifty_stations_cost_ten_times_what_five_do(kind: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
+@pytest.mark.usefixtures("quick_fits")
+def test_fifty_stations_cost_ten_times_what_five_do(
+    kind: str, tmp_path: Path, request: pytest.FixtureRequest, simulations: dict[tuple[str, Any], Simulation]
+) -> None:
     """What was due was asked of every spectrum of all stations, station by station: 8.8 times the work for each."""
     if kind == "postgresql":
         request.getfixturevalue("needs_postgres")
     with open_databases(kind, "few", "many") as (few, many), counting_steps() as counted_steps:
         counted = counted_steps if kind == "sqlite" else count_rows
-        small, large = (work_of(url, tmp_path, n, counted) for url, n in ((few, FEW), (many, MANY)))
+        small, large = (work_of(url, tmp_path, n, counted, simulations) for url, n in ((few, FEW), (many, MANY)))
     spare = 0 if kind == "sqlite" else WHOLE
     assert {name: (small[name], large[name]) for name in small if large[name] > MOST_GROWTH * small[name] + spare} == {}

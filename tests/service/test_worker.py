@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,9 +15,11 @@ from lbacal_core.spectra.spectra import Spectra
 from service.factory import Factory
 from service.scheduler import look_again, look_for_due_work
 from service.storage.jobs import LeaseLostError, Part
+from service.storage.migration import upgrade
 from service.storage.processes import WORKER
 from service.usecases.status import Pulse
 from service.wire.answer_models import JobAnswer
+from tests.killed_worker import killing_one_of_two
 from tests.service.conftest import add_spectra, like, night, served, work
 
 YEAR = {"since": "2014-01-01", "until": "2015-01-01"}
@@ -311,3 +315,44 @@ def test_late_spectra_a_flag_and_another_sky_make_a_window_due_again(
     assert len(look_for_due_work(after_night)) == 4
     with like(after_night, instrument="lofar-superterp", sky_power=None) as other:
         assert len(look_for_due_work(other)) == 8, "two years: array, station, antenna, drift"
+
+
+@pytest.mark.long
+def test_a_night_on_dask_is_the_same_though_one_of_its_workers_is_killed(
+    make_service: Callable[..., Factory], campaign: Spectra, tmp_path: Path
+) -> None:
+    few = campaign.select((campaign.antenna < 2) & (campaign.time_unix < parse_instant("", "2015-01-01") / 1e6))
+    told = []
+    for url in (None, str(tmp_path / "here.sqlite")):
+        more = dict[str, Any]() if url is None else {"database_url": url}
+        factory = make_service(None, nightly_investigations=True, **more)
+        upgrade(factory.database)
+        add_spectra(factory, few)
+        if url is None:
+            with killing_one_of_two(tmp_path, "service.usecases.refits.measure_payoff") as factory.engine:
+                jobs = night(factory)
+        else:
+            jobs = night(factory)
+        assert {(job.state, *job.errors) for job in jobs} == {("done",)}
+        told.append(tell_all(factory))
+    of_dask, here = told
+    assert of_dask == here
+    assert of_dask["attempts"] == [1] * 6
+
+
+def tell_all(factory: Factory) -> dict[str, Any]:
+    """What a night left: versions and reports by name, what was promoted, how often each part was begun."""
+    with factory.database.engine.connect() as connection:
+
+        def ask(words: str) -> list[Any]:
+            return [tuple(row) for row in connection.exec_driver_sql(words)]
+
+        return {
+            "versions": ask("SELECT id, curves FROM calibration ORDER BY id"),
+            "investigations": [
+                (name, json.loads(report)) for name, report in ask("SELECT id, report FROM investigation ORDER BY id")
+            ],
+            "promotions": ask("SELECT scope, calibration FROM promotion ORDER BY scope, calibration"),
+            "months": ask("SELECT station, digest FROM drift_year ORDER BY station"),
+            "attempts": [count for (count,) in ask("SELECT attempts FROM job_part")],
+        }

@@ -36,16 +36,20 @@ class Server:
 
     folder: Path
     binaries: Path
+    port: int | None = None
+    """On loopback; None for a socket in the folder alone."""
 
     @property
     def url(self) -> str:
         """The address of the first database."""
-        return f"postgresql://lbacal@/postgres?host={self.folder}"
+        port = "" if self.port is None else f"&port={self.port}"
+        return f"postgresql://lbacal@/postgres?host={self.folder}{port}"
 
     def start(self) -> None:
         """Start it; after a kill, as soon as what is left of it has gone."""
         # processes are killed in the tests, not the machine: fsync would only cost time
-        options = f"-c listen_addresses='' -c unix_socket_directories='{self.folder}' -c fsync=off"
+        options = f"-c unix_socket_directories='{self.folder}' -c fsync=off"
+        options += " -c listen_addresses=''" if self.port is None else f" -c listen_addresses=127.0.0.1 -p {self.port}"
         command = ["pg_ctl", "-D", str(self._data), "-w", "-l", str(self.folder / "log")]
         for attempt in range(STARTS):
             try:
@@ -62,6 +66,11 @@ class Server:
         number = int((self._data / "postmaster.pid").read_text().split()[0])
         os.kill(number, signal.SIGKILL)
         self.start()
+
+    def ask_for_passwords(self) -> None:
+        """From now on, of whoever does not come by the socket."""
+        (self._data / "pg_hba.conf").write_text("local all all trust\nhost all all 127.0.0.1/32 scram-sha-256\n")
+        self._run("pg_ctl", "-D", str(self._data), "reload")
 
     def stop(self) -> None:
         """End it."""

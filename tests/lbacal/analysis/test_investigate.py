@@ -21,8 +21,11 @@ from lbacal_core.sky.power import compute_sky_power
 from lbacal_core.sky.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.faults.fault import Where
+from lbacal_twin.faults.hardware import GainStep
 from lbacal_twin.faults.sky import LstOffset
 from lbacal_twin.settings import TwinSettings
+from tests.killed_worker import killing_one_of_two
 
 EVERY = ("json", "html", "ecsv", "csv", "fits", "h5", "png")
 pytestmark = pytest.mark.long
@@ -160,3 +163,19 @@ def test_rivals_and_a_fit_that_has_not_converged_are_told_in_the_terminal_and_on
     assert "rivals, with their odds to it: point_source (station) 0.01 : 1" in told
     assert page["rivals, with their odds to it"] == "point_source (station) 0.01 : 1"
     assert "not converged" in page["caution"]
+
+
+def test_stations_searched_on_dask_give_the_same_report_though_a_worker_is_killed(
+    sky: SkyPower, tmp_path: Path
+) -> None:
+    settings = TwinSettings(stations=("CS002", "CS003", "CS004"), antennas=2, events_per_year=120)
+    chain, rng = load_instrument("lofar-superterp"), np.random.default_rng(5)
+    of_one = GainStep(size=0.2, date="2014-07-01", where=Where(stations=("CS003",), antennas=(1,), dipoles=("Y",)))
+    spectra = simulate_campaign(settings, chain, sky, rng, [of_one]).spectra
+    here, told = lbacal.investigate(spectra, "lofar-superterp", sky), list[str]()
+    with killing_one_of_two(tmp_path, "lbacal_core.discovery.left_open.describe_station") as engine:
+        there = lbacal.investigate(spectra, "lofar-superterp", sky, dask=engine.address, tell=told.append)
+    assert [one.cause for one in here.findings] == ["gain_step"]
+    assert "left_open" in here.findings[0].content
+    assert json.dumps(there.report) == json.dumps(here.report)
+    assert [words.partition(": ")[2] for words in told] == [f"searched, {k} of 3 stations" for k in (1, 2, 3)]

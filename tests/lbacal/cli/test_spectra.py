@@ -2,18 +2,15 @@ from __future__ import annotations
 
 import json
 import os
-import signal
-import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from lbacal.cli.trace_batch import LOCAL, TraceBatch, Work
+from lbacal.cli.trace_batch import TraceBatch, Work
 from lbacal.client import Client
+from lbacal.engine import LOCAL, Engine
 from lbacal_core.spectra.spectra import read_spectra
 from lbacal_core.traces.background import CleaningSettings
 from lbacal_core.traces.trace import TraceReference, find_files, group_traces, list_traces
@@ -21,6 +18,7 @@ from lbacal_twin.voltages import Transmitter, digitise, draw_noise, write_frames
 from service.config import Settings
 from service.factory import Factory
 from service.storage.migration import upgrade
+from tests.killed_worker import killing_one_of_two
 from tests.lbacal.cli.conftest import Lbacal
 from tests.service.conftest import listening
 
@@ -288,43 +286,11 @@ def test_a_run_that_stops_midway_keeps_what_it_did(work: list[Work], tmp_path: P
 
 @pytest.mark.long
 def test_a_dask_worker_killed_midway_loses_nothing(work: list[Work], tmp_path: Path) -> None:
-    distributed = pytest.importorskip("distributed")
     batch = TraceBatch(work, CleaningSettings(), tmp_path / "here")
     here = {event.event_id: result for event, result, _ in batch.run()}
-    signs = tmp_path / "signs"
-    signs.mkdir()
-
-    def wait_in_every_task() -> None:
-        """In a worker: say that a task has begun, and go on with it when told to."""
-        from lbacal.cli import trace_batch
-
-        measure = trace_batch.measure_background
-
-        def measure_when_told(*arguments: Any) -> Any:
-            (signs / str(os.getpid())).touch()
-            while not (signs / "go").exists():
-                time.sleep(0.01)
-            return measure(*arguments)
-
-        trace_batch.measure_background = measure_when_told
-
-    def kill_one_at_work(victim: int) -> None:
-        while not (signs / str(victim)).exists():
-            time.sleep(0.01)
-        os.kill(victim, signal.SIGKILL)
-        (signs / "go").touch()
-
-    cluster = distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, memory_limit=0
-    )
-    with cluster, distributed.Client(cluster.scheduler_address) as client:
-        client.run(wait_in_every_task)
-        victim = next(iter(cluster.workers.values())).pid
-        killer = threading.Thread(target=kill_one_at_work, args=(victim,), daemon=True)
-        killer.start()
-        run = TraceBatch(work, CleaningSettings(), tmp_path / "there").run(cluster.scheduler_address)
+    with killing_one_of_two(tmp_path, "lbacal.cli.trace_batch.measure_background") as engine:
+        run = TraceBatch(work, CleaningSettings(), tmp_path / "there").run(engine)
         results = {event.event_id: result for event, result, _ in run}
-        killer.join()
     assert len(results) == EVENTS
     assert results == here
 
@@ -333,5 +299,6 @@ def test_a_dask_worker_killed_midway_loses_nothing(work: list[Work], tmp_path: P
 def test_dask_on_this_machine_measures_the_same(work: list[Work], tmp_path: Path) -> None:
     pytest.importorskip("distributed")
     here, there = (TraceBatch(work, CleaningSettings(), tmp_path / name) for name in ("here", "there"))
-    of_dask = {event.event_id: result for event, result, _ in there.run(LOCAL)}
+    with Engine(LOCAL) as engine:
+        of_dask = {event.event_id: result for event, result, _ in there.run(engine)}
     assert of_dask == {event.event_id: result for event, result, _ in here.run()}

@@ -10,9 +10,8 @@ from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.model import PLAIN, AdoptedCause, Model
 from lbacal_core.discovery.adopted import measure_gains, promise_of, true_share
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
-from lbacal_core.discovery.left_open import add_left_open, weigh_alternatives
+from lbacal_core.discovery.left_open import investigate_openly, weigh_alternatives
 from lbacal_core.discovery.refit import fit_chain, refit
-from lbacal_core.discovery.report import investigate
 from lbacal_core.discovery.station import gather_stations
 from lbacal_twin.faults.fault import Where
 from lbacal_twin.faults.hardware import GainStep
@@ -168,7 +167,7 @@ def test_what_fits_nearly_as_well_keeps_its_likelihood_and_its_own_change_of_c(w
 @pytest.mark.long
 def test_a_finding_of_a_report_says_what_it_does_to_c_of_its_paths(spoil, simulation):
     step = GainStep(size=0.05, where=Where(antennas=(2,), dipoles=("Y",)), date="2014-08-07")
-    report = add_left_open(*investigate(spoil(step), simulation))
+    report = investigate_openly(spoil(step), simulation)
     (finding,) = report["findings"]
     itself, *_ = finding["left_open"]
     assert itself["cause"] == "gain_step"

@@ -26,7 +26,7 @@ from lbacal_core.discovery.noise import split_residuals
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.refit import FittedModel, fit_chain, held_out_fold, held_out_gain, power_ratio, refit
-from lbacal_core.discovery.report import describe
+from lbacal_core.discovery.report import describe_station, join
 from lbacal_core.discovery.residual_structure import ResidualStructure, find_structure, strongest_structure
 from lbacal_core.discovery.scan import Score, group_templates, refine, scan, score_families
 from lbacal_core.discovery.station import SkyModes, Station, gather_stations, model_modes
@@ -374,7 +374,7 @@ def static_templates(cause: str, look: Look) -> list[tuple[Mapping[str, float], 
 
 def report_of(*reports: search.StationReport) -> dict[str, Any]:
     """The report of all stations as JSON values."""
-    return describe(reports, Provenance({}))
+    return join([describe_station(one) for one in reports], Provenance({}))
 
 
 def p_value_of(score: Score, z: float) -> float:

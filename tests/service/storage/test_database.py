@@ -11,19 +11,20 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from pathlib import Path
+from typing import Any
 
 import psycopg
 import pytest
 from alembic import command
 from alembic.script import ScriptDirectory
 from fastapi.testclient import TestClient
-from sqlalchemy import inspect, text
+from sqlalchemy import inspect, select, text
 from sqlalchemy.exc import SQLAlchemyError
 
 from lbacal_core.errors import BadInputError
 from service.app import make_app
 from service.config import Settings
-from service.errors import UnavailableError
+from service.errors import ConflictError, UnavailableError
 from service.factory import Factory
 from service.schema.tables import metadata
 from service.storage import database as module
@@ -31,6 +32,7 @@ from service.storage.changes import Change, Evidence
 from service.storage.database import Database
 from service.storage.migration import (
     _known,
+    copy_database,
     copy_sqlite,
     find_revision,
     make_config,
@@ -40,6 +42,9 @@ from service.storage.migration import (
 )
 from service.storage.processes import WORKER
 from service.storage.versions import Version
+from service.wire.bodies import RefitBody
+from tests.service.conftest import add_spectra, flat_spectra
+from validation.running.postgres import open_databases
 
 
 @contextmanager
@@ -276,6 +281,7 @@ OLD_CUTS = (
 
 
 LATER = (
+    "DROP INDEX ix_alarm_station_id",
     "DROP INDEX ix_spectrum_far",
     "ALTER TABLE spectrum DROP COLUMN far",
     "ALTER TABLE receipt DROP COLUMN warnings",
@@ -387,7 +393,7 @@ def test_the_page_on_backups_is_followed_word_by_word(
     factory.keys.create(("read",))
     factory.database.close()
     first = rows_of(settings.sqlalchemy_url)
-    assert (first["revision"], len(first["calibration"]), len(first["api_key"])) == ([("0028",)], len(stored), 1)
+    assert (first["revision"], len(first["calibration"]), len(first["api_key"])) == ([("0029",)], len(stored), 1)
     follow("Upgrade")
     upgraded = rows_of(settings.sqlalchemy_url)
     assert upgraded == first
@@ -400,6 +406,39 @@ def test_the_page_on_backups_is_followed_word_by_word(
     assert rows_of(settings.sqlalchemy_url) == upgraded
     follow("Roll back")
     assert rows_of(settings.sqlalchemy_url) == first
+
+
+@pytest.mark.usefixtures("needs_postgres", "stored")
+def test_a_database_is_copied_into_one_of_the_other_kind_where_the_service_goes_on(factory: Factory) -> None:
+    add_spectra(factory, flat_spectra(("a", 1.4e9, "CS001", 0, "X"), ("b", 1.4e9 + 60, "CS001", 0, "X")))
+    factory.refits.request(REFIT, "somebody")
+    kind = "postgresql" if factory.settings.is_sqlite else "sqlite"
+    with open_databases(kind, "copied") as (url,):
+        copy = Factory(Settings(database_url=url, instrument=factory.settings.instrument), factory.clock)
+        rows = copy_database(factory.database, copy.database)
+        first, second = (read_all(one.database) for one in (factory, copy))
+        assert second == first
+        assert rows == sum(map(len, first.values()))
+        assert [len(first[name]) for name in ("spectrum", "calibration", "job")] == [2, 5, 1]
+        assert copy.refits.request(REFIT, "somebody") == 2, "numbers go on"
+        add_spectra(copy, flat_spectra(("c", 1.4e9 + 120, "CS001", 1, "Y")))
+        with pytest.raises(ConflictError, match="not empty"):
+            copy_database(factory.database, copy.database)
+        assert len(read_all(copy.database)["spectrum"]) == 3
+        copy.database.close()
+
+
+REFIT = RefitBody(scope="antenna", since="2014-01-01", until="2015-01-01", reason="test")
+
+
+def read_all(database: Database) -> dict[str, list[tuple[Any, ...]]]:
+    """Every row that is copied, by table."""
+    with database.connect() as connection:
+        return {
+            table.name: sorted((tuple(row) for row in connection.execute(select(table))), key=repr)
+            for table in metadata.sorted_tables
+            if table.name != "process"
+        }
 
 
 @pytest.mark.parametrize("database_url", ["sqlite"], indirect=True)

@@ -221,6 +221,7 @@ def test_what_an_older_schema_holds_is_counted_by_the_upgrade(factory: Factory) 
         before = connection.exec_driver_sql(kept).all()
     with factory.database.engine.begin() as connection:
         connection.exec_driver_sql("DROP TABLE event_station")
+        connection.exec_driver_sql("DROP INDEX ix_alarm_station_id")
         connection.exec_driver_sql("UPDATE alembic_version SET version_num = '0027'")
     upgrade(factory.database)
     with factory.database.engine.connect() as connection:
