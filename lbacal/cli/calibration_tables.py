@@ -11,7 +11,7 @@ import typer
 from lbacal.cli.client import Antenna, Dipole, Station
 from lbacal.cli.outputs import require_outputs
 from lbacal.files import written_beside
-from lbacal_core.errors import BadInputError
+from lbacal_core.errors import BadInputError, offer_name
 
 File = Annotated[Path, typer.Argument(help="Calibration file: .ecsv, .fits, .h5 or .json.")]
 
@@ -68,6 +68,7 @@ def export(
     from lbacal.calibration_files import FORMATS, read_calibrations, write_calibrations
     from lbacal.exports import write_station_table, write_uvcal
     from lbacal.tables import mean_curve
+    from lbacal_core.curves.galcal import name_path
     from lbacal_core.instrument.instrument import load_instrument
 
     by_suffix = FORMATS | OF_OTHER_PROGRAMS
@@ -80,6 +81,7 @@ def export(
     require_outputs({"--output": output}, {"SOURCE": source, "--instrument": instrument})
     content = read_calibrations(source)
     content["at"] = content["at"] or at
+    held = [name_path(curve) for curve in content["curves"]]
     content["curves"] = [
         curve
         for curve in content["curves"]
@@ -87,7 +89,8 @@ def export(
         and dipole in (None, curve["dipole"])
     ]  # fmt: skip
     if not content["curves"]:
-        raise BadInputError(str(source), "a curve of that station, antenna and dipole", "none")
+        wanted = offer_name(name_path({"station": station, "antenna": antenna, "dipole": dipole}), held)
+        raise BadInputError(str(source), "a curve of that station, antenna and dipole", f"none of {wanted}")
     with written_beside(output) as beside:
         if chosen is ExportFormat.uvcal:
             if instrument is None:

@@ -183,8 +183,8 @@ def test_without_a_cache_it_fails_within_two_seconds_and_names_the_next_step(
 @pytest.mark.usefixtures("cache")
 def test_what_a_cache_does_not_know_is_refused_in_a_sentence(factory: Factory, tagged: str) -> None:
     with listening(factory) as url, lbacal.Client(url) as client:
-        with pytest.raises(BadInputError, match="a tag of the server"):
-            client.sync("none")
+        with pytest.raises(BadInputError, match=rf"a tag of the server.*found '{tagged}s' \(is {tagged} meant\?\)"):
+            client.sync(f"{tagged}s")
         client.sync(tagged)
     client = lbacal.Client(ABSENT)
     for question, sentence in (
@@ -198,6 +198,7 @@ def test_what_a_cache_does_not_know_is_refused_in_a_sentence(factory: Factory, t
         ({"gap": "hold"}, "nobody answers at"),
         ({"tag": "../x"}, "tag: expected letters"),
         ({"tag": "other"}, "run `lbacal sync other`"),
+        ({"tag": tagged.upper()}, rf"does not hold the tag '{tagged.upper()}' \(is {tagged} meant\?\)"),
     ):
         with pytest.raises(LbacalError, match=sentence):
             client.effective(**{"at": "2014-03-01", **question})
