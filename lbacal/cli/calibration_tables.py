@@ -9,7 +9,8 @@ from typing import Annotated, Any
 import typer
 
 from lbacal.cli.client import Antenna, Dipole, Station
-from lbacal.cli.outputs import require_outputs
+from lbacal.cli.options import Json
+from lbacal.cli.outputs import require_outputs, show
 from lbacal.files import written_beside
 from lbacal_core.errors import BadInputError, offer_name
 
@@ -23,6 +24,7 @@ OF_OTHER_PROGRAMS = {".txt": "nuradio", ".calfits": "uvcal", ".calh5": "uvcal"}
 
 def check_table(
     files: Annotated[list[Path], typer.Argument(help="Calibration files: .ecsv, .fits, .h5 or .json.")],
+    as_json: Json = False,
 ) -> None:
     """Check that calibration files follow galcal-1 and agree with themselves.
 
@@ -33,15 +35,16 @@ def check_table(
     from lbacal.calibration_files import read_calibrations
     from lbacal_core.curves.galcal import find_problems
 
-    failed = False
+    found: list[dict[str, Any]] = []
     for path in files:
         content = read_calibrations(path)
         problems = find_problems(content)
-        failed = failed or bool(problems)
-        print(f"{path}: {_describe(content) if not problems else f'{len(problems)} problems'}")
-        for problem in problems:
-            print(f"  {problem}")
-    if failed:
+        told = f"{len(problems)} problems" if problems else _describe(content)
+        found.append({"file": str(path), "summary": told, "problems": problems})
+        if not as_json:  # before the next file, which may be unreadable
+            print("\n  ".join([f"{path}: {told}", *problems]))
+    show(found, lambda _: None, as_json=as_json)
+    if any(one["problems"] for one in found):
         raise typer.Exit(1)
 
 

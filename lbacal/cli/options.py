@@ -16,4 +16,5 @@ Since = Annotated[str | None, typer.Option(help="First instant of the events to 
 Until = Annotated[str | None, typer.Option(help="End of the events to use, not included.")]
 Year = Annotated[int | None, typer.Option(help="One calendar year, in the place of both.", min=2009, max=9998)]
 Stations = Annotated[list[str] | None, typer.Option(help="Station to use; may be given several times.")]
+Json = Annotated[bool, typer.Option("--json", help="Print the answer as JSON.")]
 Band = Annotated[tuple[float, float], typer.Option(help="First and last channel of the band, MHz.")]

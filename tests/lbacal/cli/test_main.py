@@ -5,6 +5,7 @@ import json
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -69,6 +70,37 @@ def test_every_command_is_listed_once_in_a_group_with_its_whole_first_sentence()
     assert [title for title in command.GROUPS if f"\n{title}:\n" not in shown] == []
     assert "name the cause, extend the\n" in shown
     assert "..." not in shown.partition("Options:")[2]
+
+
+RUN_OR_WRITE = (
+    "serve", "scheduler", "worker", "db upgrade", "db check", "db backup", "db repair-clock", "keys revoke",
+    "sky-power", "antenna-gain", "spectra", "import", "export", "paper", "causes add",
+)  # fmt: skip
+"""Commands that run something, or write a file and say so."""
+
+
+def list_commands(group: Any, *above: str) -> Iterator[tuple[str, set[str]]]:
+    """Every command, those of groups too, with its options."""
+    for name, one in group.commands.items():
+        if not hasattr(one, "commands") or one.invoke_without_command:
+            yield " ".join((*above, name)), {option for parameter in one.params for option in parameter.opts}
+        if hasattr(one, "commands"):
+            yield from list_commands(one, *above, name)
+
+
+def test_every_command_that_answers_does_so_as_json() -> None:
+    command.add_commands()
+    options = dict(list_commands(typer.main.get_command(app)))
+    assert {"audit", "changes", "changes decide", "keys list", "sync"} < set(options)
+    assert sorted(name for name, known in options.items() if "--json" not in known) == sorted(RUN_OR_WRITE)
+
+
+@pytest.mark.parametrize(
+    "asked", ["audit --report R.json", "budget --report R.json", "fit --report fit.json --output R.json"]
+)
+def test_what_a_command_prints_as_json_is_what_it_writes(lbacal: Lbacal, folder: Path, asked: str) -> None:
+    _, told, _ = lbacal(*asked.split(), "spectra.h5", "--instrument", "instrument.json", "--json")
+    assert json.loads(told) == json.loads((folder / "R.json").read_text())
 
 
 def test_the_installed_command_tells_its_version() -> None:
