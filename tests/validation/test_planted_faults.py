@@ -109,6 +109,8 @@ def test_every_mutation_of_a_function_is_found_without_its_head() -> None:
     ]
     for operator in {one for one, *_ in found}:
         changed(MUTATED, "total", [Change(operator, "", 1)])
+    silent = ast.parse("def f(a):\n    return zip(a, strict=True)").body[0]
+    assert [operator for operator, *_ in mutations(silent)] == ["first argument returned"]
     with pytest.raises(StaleChangeError, match="has 2 times: statement dropped"):
         changed(MUTATED, "total", [Change("statement dropped", "", 4)])
 

@@ -5,7 +5,6 @@ import json
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,7 @@ from lbacal_core.sky.table import read_sky_power
 from lbacal_core.spectra.spectra import write_spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
-from tests.lbacal.cli.conftest import Lbacal
+from tests.lbacal.cli.conftest import Lbacal, list_commands
 
 LBACAL = Path(sys.executable).with_name("lbacal")
 
@@ -79,18 +78,10 @@ RUN_OR_WRITE = (
 """Commands that run something, or write a file and say so."""
 
 
-def list_commands(group: Any, *above: str) -> Iterator[tuple[str, set[str]]]:
-    """Every command, those of groups too, with its options."""
-    for name, one in group.commands.items():
-        if not hasattr(one, "commands") or one.invoke_without_command:
-            yield " ".join((*above, name)), {option for parameter in one.params for option in parameter.opts}
-        if hasattr(one, "commands"):
-            yield from list_commands(one, *above, name)
-
-
 def test_every_command_that_answers_does_so_as_json() -> None:
     command.add_commands()
-    options = dict(list_commands(typer.main.get_command(app)))
+    listed = list_commands(typer.main.get_command(app))
+    options = {name: {option for parameter in one.params for option in parameter.opts} for name, one in listed}
     assert {"audit", "changes", "changes decide", "keys list", "sync"} < set(options)
     assert sorted(name for name, known in options.items() if "--json" not in known) == sorted(RUN_OR_WRITE)
 
