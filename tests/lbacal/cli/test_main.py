@@ -19,6 +19,7 @@ from lbacal.cli import main as command
 from lbacal.cli.main import app
 from lbacal_core.errors import BadInputError, LbacalError, UnknownNameError, UnreadableFileError
 from lbacal_core.instrument.instrument import load_instrument
+from lbacal_core.lstcurve.curve import measured_curve
 from lbacal_core.sky.power import compute_sky_power
 from lbacal_core.sky.table import read_sky_power
 from lbacal_core.spectra.spectra import write_spectra
@@ -86,12 +87,23 @@ def test_every_command_that_answers_does_so_as_json() -> None:
     assert sorted(name for name, known in options.items() if "--json" not in known) == sorted(RUN_OR_WRITE)
 
 
-@pytest.mark.parametrize(
-    "asked", ["audit --report R.json", "budget --report R.json", "fit --report fit.json --output R.json"]
-)
-def test_what_a_command_prints_as_json_is_what_it_writes(lbacal: Lbacal, folder: Path, asked: str) -> None:
-    _, told, _ = lbacal(*asked.split(), "spectra.h5", "--instrument", "instrument.json", "--json")
-    assert json.loads(told) == json.loads((folder / "R.json").read_text())
+PREDICT = "predict --simulation lofar-superterp --station CS002"
+WHERE = "--instrument instrument.json"
+ANSWERS = {
+    f"audit spectra.h5 {WHERE} --report R.json": "spectra.h5: nothing wrong",
+    f"budget spectra.h5 {WHERE} --report R.json": "C is known best at",
+    f"fit spectra.h5 {WHERE} --sky-power sky_power.json --report fit.json --output R.json": "4 of 4 curves converged",
+    f"lst-curve {measured_curve()} {WHERE} --sky-power sky_power.json --report R.json": "chi2 per point",
+    f"investigate --lst-curve {measured_curve()} {WHERE} --sky-power sky_power.json --report R.json": "wrote R.json",
+    f"{PREDICT} --antenna 0 --dipole X --at 2014-05-01 --output R.json": "sefd",
+}
+
+
+@pytest.mark.parametrize("asked", ANSWERS)
+def test_a_command_answers_in_words_and_as_json_what_it_writes(lbacal: Lbacal, folder: Path, asked: str) -> None:
+    code, words, _ = lbacal(*asked.split())
+    assert (code, ANSWERS[asked] in words) == (0, True), words
+    assert json.loads(lbacal(*asked.split(), "--json")[1]) == json.loads((folder / "R.json").read_text())
 
 
 def test_the_installed_command_tells_its_version() -> None:

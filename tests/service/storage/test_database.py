@@ -7,6 +7,7 @@ import sqlite3
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
@@ -38,7 +39,7 @@ from service.storage.migration import (
     require_current,
     upgrade,
 )
-from service.storage.processes import WORKER
+from service.storage.processes import WORKER, read_database_clock
 from service.storage.versions import Version
 
 
@@ -129,6 +130,13 @@ def test_a_reader_sees_the_database_at_one_instant(factory: Factory) -> None:
         assert stores.keys.all() == []
         factory.keys.create(("read",))
         assert stores.keys.all() == []
+
+
+def test_the_clock_of_a_database_is_the_time_of_the_day(factory: Factory) -> None:
+    before = time.time()
+    with factory.database.read() as stores:
+        now = 1e-6 * read_database_clock(stores._connection)
+    assert before - 60.0 < now < time.time() + 60.0
 
 
 def test_a_reader_cannot_write(factory: Factory, database_url: str) -> None:
