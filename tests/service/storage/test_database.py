@@ -189,6 +189,8 @@ def test_a_value_that_no_column_holds_was_a_failure_of_the_program(factory: Fact
 
 def test_a_dropped_table_is_another_schema(factory: Factory) -> None:
     execute(factory.database, "DROP TABLE drift_year")
+    with pytest.raises(UnavailableError, match="differs from its schema in 1 places: add table drift_year"):
+        require_complete(factory.database)
     with pytest.raises(UnavailableError, match="lbacal db upgrade"):
         execute(factory.database, "DELETE FROM drift_year")
 
