@@ -24,7 +24,7 @@ from lbacal.tables import write_format
 from lbacal.transport import RefusedError
 from lbacal_core.curves.covariance import name_budgets
 from lbacal_core.curves.validity import Instant
-from lbacal_core.errors import BadInputError, LbacalError, require_name
+from lbacal_core.errors import BadInputError, LbacalError, offer_name, require_name
 
 FORMAT = "lbacal-cache-1"
 ARRAY = ""
@@ -47,6 +47,9 @@ class Source(Protocol):
 
     def get(self, path: str, **params: Any) -> Any:
         """The JSON at a path of the API."""
+
+    def list(self, path: str, name: str, **params: Any) -> list[Any]:
+        """All items of a list of the API."""
 
     def fetch(self, path: str, **params: Any) -> bytes:
         """The bytes at a path of the API."""
@@ -130,9 +133,10 @@ class Cache:
 
         With stations or instants only the answers of that part, which is then what the cache holds of the tag.
         """
-        found = next((one for one in client.get("/v1/tags")["tags"] if one["name"] == _require_tag(tag)), None)
+        tags = {one["name"]: one for one in client.list("/v1/tags", "tags")}
+        found = tags.get(_require_tag(tag))
         if found is None:
-            raise BadInputError("tag", "a tag of the server; `lbacal tag` lists and makes them", repr(tag))
+            raise BadInputError("tag", "a tag of the server; `lbacal tag` lists and makes them", offer_name(tag, tags))
         as_of = found["as_of"]
         held = self._held_before(tag, as_of)
         stations = client.get("/v1/calibrations/edges", as_of=as_of)["stations"]
@@ -165,10 +169,13 @@ class Cache:
         """The list of a tag; without a name that of the tag synced last."""
         if tag is not None:
             return self._read_snapshot(_require_tag(tag))
-        names = sorted(path.stem for path in (self._folder / "tags").glob("*.json"))
+        names = self._names()
         if not names:
             raise CacheError(f"the cache {self._folder} holds no tag: run `lbacal sync TAG` while a server answers")
         return max((self._read_snapshot(name) for name in names), key=lambda snapshot: snapshot.synced_at)
+
+    def _names(self) -> list[str]:
+        return sorted(path.stem for path in (self._folder / "tags").glob("*.json"))
 
     def find(self, tag: str, asked: Question) -> Snapshot | None:
         """The list of a tag that was synced with what is asked for; None where it was not."""
@@ -248,7 +255,10 @@ class Cache:
             digest = json.loads(path.read_bytes())["list"]
             content = json.loads(self._read(digest, tag))
         except FileNotFoundError:
-            raise CacheError(f"the cache {self._folder} does not hold the tag {tag}: run `lbacal sync {tag}`") from None
+            wanted = offer_name(tag, self._names())
+            raise CacheError(
+                f"the cache {self._folder} does not hold the tag {wanted}: run `lbacal sync {tag}`"
+            ) from None
         except (ValueError, KeyError, TypeError) as error:
             raise _damaged(path, tag) from error
         if content.pop("format", None) != FORMAT:

@@ -5,6 +5,9 @@ A change is `WHAT -> INTO` of the nth such node in a function, in the order of t
 expression: `call NAME`, `if`, `[]`, `()`, `+ ...` for a whole term with that operator. INTO is an operator, or an
 expression in which `it` is what stood there, and `left`, `right`, `first`, `yes`, `no` are its operands, its first
 argument and the two sides of an `if`.
+
+A mutation is a change that nobody thought of: WHAT is its operator, of those that `mutations` finds in any function,
+and there is no INTO.
 """
 
 from __future__ import annotations
@@ -12,6 +15,7 @@ from __future__ import annotations
 import ast
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 OPERATORS: dict[str, type[ast.AST]] = {
     "+": ast.Add, "-": ast.Sub, "*": ast.Mult, "/": ast.Div, "//": ast.FloorDiv, "%": ast.Mod, "**": ast.Pow,
@@ -19,6 +23,15 @@ OPERATORS: dict[str, type[ast.AST]] = {
     "==": ast.Eq, "!=": ast.NotEq, "and": ast.And, "or": ast.Or, "-x": ast.USub, "not": ast.Not,
 }  # fmt: skip
 KINDS: dict[str, type[ast.AST]] = {"if": ast.IfExp, "[]": ast.Subscript, "()": ast.Tuple}
+OPPOSITE: dict[type[ast.AST], type[ast.AST]] = {
+    ast.Lt: ast.Gt, ast.LtE: ast.GtE, ast.Eq: ast.NotEq, ast.Is: ast.IsNot, ast.In: ast.NotIn, ast.Add: ast.Sub,
+    ast.Mult: ast.Div, ast.And: ast.Or,
+}  # fmt: skip
+OPPOSITE |= {other: one for one, other in OPPOSITE.items()}
+Site = tuple[str, ast.AST, str]
+"""Operator of a mutation, what stands in the code, and the text that takes its place."""
+SILENT = ("strict", "encoding", "optimize")
+"""Keywords that change nothing where lengths agree, on machines of UTF-8, and but the time that it takes."""
 SEARCHED = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
 
 
@@ -28,7 +41,7 @@ class StaleChangeError(Exception):
 
 @dataclass(frozen=True)
 class Change:
-    """`what -> into`, of the nth such node."""
+    """`what -> into`, of the nth such node; the nth mutation by the operator `what` where `into` is empty."""
 
     what: str
     into: str
@@ -36,13 +49,18 @@ class Change:
 
     @classmethod
     def read(cls, text: str) -> Change:
-        """From `WHAT -> INTO` or `WHAT #NTH -> INTO`."""
+        """From `WHAT -> INTO`, `WHAT #NTH -> INTO`, or `OPERATOR #NTH` of a mutation."""
         what, _, into = text.partition(" -> ")
         what, _, nth = what.partition(" #")
         return cls(what, into, int(nth or 1))
 
-    def of(self, function: ast.AST) -> tuple[ast.expr, str]:
-        """The expression that it changes, and what takes its place."""
+    def of(self, function: ast.AST) -> tuple[Any, str]:
+        """The expression or statement that it changes, and what takes its place."""
+        if not self.into:
+            sites = [(node, text) for operator, node, text in mutations(function) if operator == self.what]
+            if len(sites) < self.nth:
+                raise StaleChangeError(f"has {len(sites)} times: {self.what} (wanted: number {self.nth})")
+            return sites[self.nth - 1]
         found = [node for node in walk(function) if self._fits(node)]
         if len(found) < self.nth:
             raise StaleChangeError(f"has {len(found)} times: {self.what} (wanted: number {self.nth})")
@@ -104,6 +122,61 @@ def walk(node: ast.AST) -> Iterator[ast.expr]:
         yield from walk(child)
 
 
+def mutations(function: ast.AST) -> Iterator[Site]:
+    """Every mutation of a function, in the order of the source and without its head."""
+    if not isinstance(function, ast.FunctionDef | ast.AsyncFunctionDef):
+        return
+    names = [one.arg for one in (*function.args.posonlyargs, *function.args.args) if one.arg not in ("self", "cls")]
+    for node in (one for statement in function.body for one in _executed(statement)):
+        yield from _opposites(node)
+        yield from _numbers(node)
+        match node:
+            case ast.If(test=test) | ast.While(test=test) | ast.IfExp(test=test):
+                yield "condition negated", test, _negated(test)
+            case ast.comprehension(ifs=[test, *_]):
+                yield "condition negated", test, _negated(test)
+            case ast.Raise() | ast.Expr(value=ast.Call()) | ast.Assign(targets=[ast.Attribute() | ast.Subscript()]):
+                yield "statement dropped", node, "pass"
+            case ast.Return(value=ast.expr() as value) if names:
+                yield "first argument returned", value, names[0]
+            case ast.Call(func=ast.Name(id="sorted")):
+                yield "order reversed", node, f"{ast.unparse(node)}[::-1]"
+            case ast.Call(keywords=[*kept, ast.keyword(arg=str(name))]) if name not in SILENT:
+                yield "keyword dropped", node, ast.unparse(ast.Call(node.func, node.args, kept))
+
+
+def _negated(test: ast.expr) -> str:
+    return f"({ast.unparse(ast.UnaryOp(ast.Not(), test))})"
+
+
+def _numbers(node: ast.AST) -> Iterator[Site]:
+    match node:
+        case ast.Constant(value=bool()):
+            pass
+        case ast.Constant(value=int(value)):
+            yield "integer + 1", node, str(value + 1)
+        case ast.Constant(value=float(value)) if value:
+            yield "float x 1.1", node, repr(1.1 * value)
+
+
+def _opposites(node: ast.AST) -> Iterator[Site]:
+    operator = next((other for one, other in OPPOSITE.items() if isinstance(_operator(node), one)), None)
+    if operator is None or (isinstance(node, ast.Compare) and len(node.ops) > 1):
+        return
+    text = ast.unparse(_with_operator(node, operator()))
+    yield "opposite operator", node, text if isinstance(node, ast.stmt) else f"({text})"
+
+
+def _executed(node: ast.AST) -> Iterator[ast.AST]:
+    """The nodes of a statement that are run, the outer before the inner: no docstring and no annotation."""
+    yield node
+    for name, field in ast.iter_fields(node):
+        if name not in ("annotation", "returns"):
+            for child in field if isinstance(field, list) else [field]:
+                if isinstance(child, ast.AST):
+                    yield from _executed(child)
+
+
 def _names(node: ast.AST) -> list[str]:
     if isinstance(node, SEARCHED):
         return [node.name]
@@ -111,11 +184,11 @@ def _names(node: ast.AST) -> list[str]:
     return [name.id for target in targets for name in ast.walk(target) if isinstance(name, ast.Name)]
 
 
-def _operator(node: ast.expr) -> ast.AST | None:
+def _operator(node: ast.AST) -> ast.AST | None:
     return node.ops[0] if isinstance(node, ast.Compare) else getattr(node, "op", None)
 
 
-def _with_operator(node: ast.expr, operator: ast.AST) -> ast.expr:
+def _with_operator(node: Any, operator: ast.AST) -> Any:
     fields = dict(ast.iter_fields(node))
     return type(node)(**fields | ({"ops": [operator]} if isinstance(node, ast.Compare) else {"op": operator}))
 

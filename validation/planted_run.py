@@ -11,6 +11,7 @@ import ast
 import importlib
 import json
 import os
+import signal
 import types
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,6 +24,10 @@ from validation.code_changes import find
 
 LOG = "PLANTED_LOG"
 """Variable of the environment: the file in which a test that sees a fault is written down, a line each."""
+BLOCK = "PLANTED_BLOCK"
+"""Variable of the environment: first seed of the drawn faults; those of the list where it is empty."""
+LOOP_S = 300.0
+"""Seconds of the processor after which a fault counts as a loop without end."""
 CALLED: set[str] = set()
 """Places that the running test has called."""
 
@@ -30,7 +35,7 @@ CALLED: set[str] = set()
 def function_of(where: str) -> types.FunctionType | None:
     """The function of `MODULE:NAME`, the outermost one of a nested name; None where the place is no function."""
     module, _, path = where.partition(":")
-    found: Any = importlib.import_module(module)
+    found: Any = importlib.import_module(module.removesuffix(".__init__"))
     for name in path.split("."):
         found = vars(found).get(name)
         for inner in ("fget", "func", "__func__", "__wrapped__"):
@@ -100,7 +105,7 @@ class PlantedRun:
                     continue
                 noting, function.__code__ = function.__code__, code
                 try:
-                    fails = not self._passes(item, parents)
+                    fails = not self._passes_in_time(item, parents)
                 finally:
                     function.__code__ = noting
                 if fails and self._passes(item, parents):  # a test that fails by chance sees nothing
@@ -110,10 +115,26 @@ class PlantedRun:
         item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
         return True
 
+    def _passes_in_time(self, item: Any, parents: Any) -> bool:
+        signal.signal(signal.SIGVTALRM, _end_loop)
+        signal.setitimer(signal.ITIMER_VIRTUAL, LOOP_S)
+        try:
+            return self._passes(item, parents)
+        finally:
+            signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
+
     @staticmethod
     def _passes(item: Any, parents: Any, is_told: bool = False) -> bool:
         item._initrequest()  # noqa: SLF001 - as reruns of a test do
         return not any(one.failed for one in runtestprotocol(item, log=is_told, nextitem=parents))
+
+
+class _LoopError(BaseException):
+    """A fault that does not end; no `except Exception` of the product takes it for its own."""
+
+
+def _end_loop(*_: object) -> None:
+    raise _LoopError
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -123,4 +144,6 @@ def pytest_configure(config: pytest.Config) -> None:
     if LOG in os.environ:
         from validation.planted_faults import list_planted
 
-        config.pluginmanager.register(PlantedRun(list_planted(Path.cwd()), Path(os.environ[LOG])))
+        config.pluginmanager.register(
+            PlantedRun(list_planted(Path.cwd(), os.environ.get(BLOCK, "")), Path(os.environ[LOG]))
+        )

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from astropy.table import QTable
 
 from lbacal.analysis.data import import_data
@@ -87,10 +88,28 @@ def audit(
         ],
         charts=lambda: chain.from_iterable(map(draw_station, report.stations)),
         columns=len(core.dipoles),
-        as_table=lambda: QTable(rows=[list(row) for row in rows], names=COLUMNS, dtype=[str] * len(COLUMNS)),
+        as_table=partial(_list_lines, report.lines),
         as_dict=report.as_dict,
         page=partial(draw_page, report, origin),
         report=report,
+    )
+
+
+def _list_lines(lines: Sequence[Line]) -> QTable:
+    """A row a line: its value and sigma are in its unit, and numbers that it does not have are NaN."""
+    texts = {
+        "verdict": [one.verdict for one in lines],
+        "check": [one.check for one in lines],
+        "station": [one.station for one in lines],
+        "antennas": [" ".join(map(str, one.antennas)) for one in lines],
+        "dipole": [one.dipole or "" for one in lines],
+    }
+    numbers = {name: [getattr(one, name) for one in lines] for name in ("value", "sigma", "log_odds")}
+    words = {"unit": [one.unit for one in lines], "sentence": [one.sentence for one in lines]}
+    return QTable(
+        {name: np.array(column, dtype=str) for name, column in texts.items()}
+        | {name: np.array(column, dtype=float) for name, column in numbers.items()}
+        | {name: np.array(column, dtype=str) for name, column in words.items()}
     )
 
 

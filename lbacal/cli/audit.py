@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from lbacal.cli.options import InstrumentName
-from lbacal.cli.outputs import progress, require_outputs, save_each
+from lbacal.cli.options import InstrumentName, Json
+from lbacal.cli.outputs import progress, require_outputs, save_each, show_result
 
 EXIT_WRONG = 3
 """Exit code when something is wrong with a station: the work was done, so neither 1 nor 2."""
@@ -22,6 +22,7 @@ def audit(
     sky: Annotated[str | None, typer.Option(help="Sky model that a working station sees: a name, or a file.")] = None,
     antenna: Annotated[str | None, typer.Option(help="Antenna model: a name, or a file.")] = None,
     average: Annotated[float, typer.Option(help="Seconds to average, for data that are no spectra file.")] = 900.0,
+    as_json: Json = False,
 ) -> None:
     """Check a station: dead, deaf, oscillating or outlying paths, exchanged dipoles, cables, clock, arms, place, unit.
 
@@ -36,7 +37,7 @@ def audit(
     require_outputs(outputs, {"DATA": data, "--instrument": instrument})
     with progress() as tell:
         found = audit_data(data, instrument, sky, antenna, average, tell=tell)
-    print("\n".join([*found.lines, found.title]))
+    show_result(found, [*found.lines, found.title], as_json=as_json)
     save_each(found, outputs)
     if found.wrong:
         raise typer.Exit(EXIT_WRONG)

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from lbacal.cli.options import InstrumentName, Since, SkyPowerFile, SpectraFiles, Stations, Until, Year
-from lbacal.cli.outputs import progress, require_outputs, save_each
+from lbacal.cli.options import InstrumentName, Json, Since, SkyPowerFile, SpectraFiles, Stations, Until, Year
+from lbacal.cli.outputs import progress, require_outputs, save_each, show_result
 from lbacal.selection import find_spectra_files, parse_selection, read_selected
 
 
@@ -30,6 +30,7 @@ def budget(
     ] = None,
     report: Annotated[Path | None, typer.Option(help="Terms with their vectors (JSON).")] = None,
     plot: Annotated[Path | None, typer.Option(help="Terms stacked against frequency (PNG, PDF or SVG).")] = None,
+    as_json: Json = False,
 ) -> None:
     """Print how far C may be off, term by term as in Table 1 of the paper; every term is a refit of these spectra.
 
@@ -45,5 +46,5 @@ def budget(
     with progress() as tell:
         measured = read_selected(files, selection, time.time(), tell)
         found = make_budget(measured, instrument, sky_power, sky, left_open, tell=tell)
-    print("\n".join([*found.lines, found.title]))
+    show_result(found, [*found.lines, found.title], as_json=as_json)
     save_each(found, outputs)

@@ -9,9 +9,10 @@ from typing import Annotated, Any
 import typer
 
 from lbacal.cli.client import Antenna, Dipole, Station
-from lbacal.cli.outputs import require_outputs
+from lbacal.cli.options import Json
+from lbacal.cli.outputs import require_outputs, show
 from lbacal.files import written_beside
-from lbacal_core.errors import BadInputError
+from lbacal_core.errors import BadInputError, offer_name
 
 File = Annotated[Path, typer.Argument(help="Calibration file: .ecsv, .fits, .h5 or .json.")]
 
@@ -23,6 +24,7 @@ OF_OTHER_PROGRAMS = {".txt": "nuradio", ".calfits": "uvcal", ".calh5": "uvcal"}
 
 def check_table(
     files: Annotated[list[Path], typer.Argument(help="Calibration files: .ecsv, .fits, .h5 or .json.")],
+    as_json: Json = False,
 ) -> None:
     """Check that calibration files follow galcal-1 and agree with themselves.
 
@@ -33,15 +35,16 @@ def check_table(
     from lbacal.calibration_files import read_calibrations
     from lbacal_core.curves.galcal import find_problems
 
-    failed = False
+    found: list[dict[str, Any]] = []
     for path in files:
         content = read_calibrations(path)
         problems = find_problems(content)
-        failed = failed or bool(problems)
-        print(f"{path}: {_describe(content) if not problems else f'{len(problems)} problems'}")
-        for problem in problems:
-            print(f"  {problem}")
-    if failed:
+        told = f"{len(problems)} problems" if problems else _describe(content)
+        found.append({"file": str(path), "summary": told, "problems": problems})
+        if not as_json:  # before the next file, which may be unreadable
+            print("\n  ".join([f"{path}: {told}", *problems]))
+    show(found, lambda _: None, as_json=as_json)
+    if any(one["problems"] for one in found):
         raise typer.Exit(1)
 
 
@@ -68,6 +71,7 @@ def export(
     from lbacal.calibration_files import FORMATS, read_calibrations, write_calibrations
     from lbacal.exports import write_station_table, write_uvcal
     from lbacal.tables import mean_curve
+    from lbacal_core.curves.galcal import name_path
     from lbacal_core.instrument.instrument import load_instrument
 
     by_suffix = FORMATS | OF_OTHER_PROGRAMS
@@ -80,6 +84,7 @@ def export(
     require_outputs({"--output": output}, {"SOURCE": source, "--instrument": instrument})
     content = read_calibrations(source)
     content["at"] = content["at"] or at
+    held = [name_path(curve) for curve in content["curves"]]
     content["curves"] = [
         curve
         for curve in content["curves"]
@@ -87,7 +92,8 @@ def export(
         and dipole in (None, curve["dipole"])
     ]  # fmt: skip
     if not content["curves"]:
-        raise BadInputError(str(source), "a curve of that station, antenna and dipole", "none")
+        wanted = offer_name(name_path({"station": station, "antenna": antenna, "dipole": dipole}), held)
+        raise BadInputError(str(source), "a curve of that station, antenna and dipole", f"none of {wanted}")
     with written_beside(output) as beside:
         if chosen is ExportFormat.uvcal:
             if instrument is None:

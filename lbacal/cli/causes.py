@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from lbacal.cli.options import Json
+from lbacal.cli.outputs import show_each
 from lbacal.files import written_beside
 from lbacal.settings import causes_file
 from lbacal.with_model import read_report
@@ -17,7 +19,7 @@ File = Annotated[Path | None, typer.Option("--file", help="File of the causes; L
 
 
 @causes.callback()
-def list_causes(context: typer.Context, file: File = None) -> None:
+def list_causes(context: typer.Context, file: File = None, as_json: Json = False) -> None:
     """List the causes of this installation, or name another one: sentences of reports, beside the catalogue.
 
     Example: lbacal causes
@@ -25,8 +27,8 @@ def list_causes(context: typer.Context, file: File = None) -> None:
     if context.invoked_subcommand is None:
         from lbacal_core.causes.own import read_own_causes
 
-        for one in read_own_causes(_required(file)):
-            print(f"{one.identifier}: {one.meaning}")
+        found = [{"cause": one.identifier, "meaning": one.meaning} for one in read_own_causes(_required(file))]
+        show_each(found, lambda one: print(f"{one['cause']}: {one['meaning']}"), "no causes", as_json=as_json)
 
 
 @causes.command()

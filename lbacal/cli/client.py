@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import sys
 import warnings
-from collections.abc import Callable
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -13,7 +12,8 @@ from typing import Annotated, Any
 
 import typer
 
-from lbacal.cli.outputs import progress, require_outputs
+from lbacal.cli.options import Json
+from lbacal.cli.outputs import progress, require_outputs, show, show_each
 from lbacal.client import CachedAnswerWarning, Client, describe_snapshot
 from lbacal.files import written_beside
 from lbacal_core.errors import BadInputError, name_path
@@ -21,7 +21,6 @@ from lbacal_core.errors import BadInputError, name_path
 Station = Annotated[str | None, typer.Option(help="Station such as CS002.")]
 Antenna = Annotated[int | None, typer.Option(help="Antenna number.", min=0)]
 Dipole = Annotated[str | None, typer.Option(help="Letter of the dipole, such as X.")]
-Json = Annotated[bool, typer.Option("--json", help="Print the answer of the server as JSON.")]
 SHOWN = 20
 """A list of versions, promotions or changes shows this many, and counts the others."""
 
@@ -54,12 +53,14 @@ def effective(
     why: Annotated[bool, typer.Option("--why", help="Say in a sentence why it is this version.")] = False,
     kind: Annotated[Format, typer.Option("--format", help="How to print.")] = Format.table,
     output: Annotated[Path | None, typer.Option(help="File to write instead of printing.")] = None,
+    as_json: Json = False,
 ) -> None:
     """Print the calibration in effect on a date.
 
     Example: lbacal effective --station CS002 --antenna 17 --dipole X --at 2014-05-01
     """
     require_outputs({"--output": output}, {})
+    kind = Format.json if as_json else kind
     if kind in (Format.fits, Format.hdf5) and output is None and sys.stdout.isatty():
         raise BadInputError("--output", f"a file for {kind.value}", "a terminal")
     if kind is Format.table and output is not None:
@@ -89,6 +90,7 @@ def sync(
     ] = None,
     since: Annotated[str | None, typer.Option(help="Only what is in effect from here on, ISO 8601, UTC.")] = None,
     until: Annotated[str | None, typer.Option(help="Only what is in effect before.")] = None,
+    as_json: Json = False,
 ) -> None:
     """Bring the calibrations of a tag into LBACAL_CACHE, where `effective` finds them while no server answers.
 
@@ -104,7 +106,9 @@ def sync(
             since=since,
             until=until,
         )
-    print(f"{describe_snapshot(snapshot)}: {len(snapshot.files)} files, {fetched} answers fetched")
+    made = vars(snapshot) | {"stations": list(snapshot.stations), "files": len(snapshot.files), "fetched": fetched}
+    told = f"{describe_snapshot(snapshot)}: {len(snapshot.files)} files, {fetched} answers fetched"
+    show(made, lambda _: print(told), as_json=as_json)
 
 
 def refit(
@@ -145,26 +149,6 @@ def jobs(
     with Client() as client:
         found = [client.job(number)] if number is not None else client.get("/v1/jobs", limit=20)["jobs"]
     show_each(found, partial(print_job, most=0 if number is None else SHOWN), "no jobs", as_json=as_json)
-
-
-def show(found: Any, tell: Callable[[Any], object], *, as_json: bool) -> None:
-    """Print an answer in words, or as it is."""
-    if as_json:
-        print(json.dumps(found, indent=1, ensure_ascii=False))
-    else:
-        tell(found)
-
-
-def show_each(found: list[Any], tell: Callable[[Any], object], nothing: str, *, as_json: bool) -> None:
-    """Print the parts of an answer in words, or all of it as it is."""
-
-    def tell_all(parts: list[Any]) -> None:
-        for one in parts:
-            tell(one)
-        if not parts:
-            print(nothing)
-
-    show(found, tell_all, as_json=as_json)
 
 
 def print_receipt(total: dict[str, Any]) -> None:

@@ -9,8 +9,8 @@ from typing import Annotated
 
 import typer
 
-from lbacal.cli.options import InstrumentName, Since, SkyPowerFile, SpectraFiles, Stations, Until, Year
-from lbacal.cli.outputs import progress, require_outputs, save_each
+from lbacal.cli.options import InstrumentName, Json, Since, SkyPowerFile, SpectraFiles, Stations, Until, Year
+from lbacal.cli.outputs import progress, require_outputs, save_each, show_result
 from lbacal.files import written_beside
 from lbacal.selection import find_spectra_files, parse_selection, read_selected
 from lbacal.with_model import HELP, read_model, report_path
@@ -39,6 +39,7 @@ def fit(
     plot: Annotated[
         Path | None, typer.Option(help="Figure to write: C with its errors, residuals, noise, chi2 (PNG, PDF or SVG).")
     ] = None,
+    as_json: Json = False,
 ) -> None:
     """Fit the signal chain to background spectra and write C(nu) with its errors.
 
@@ -79,6 +80,6 @@ def fit(
     next_step = f"lbacal investigate {rerun} --report R.json --html R.html"
     said = [line.replace(NEXT_STEP, next_step) for line in found.lines]
     counted = f"{len(found.converged)} of {len(found.report.curves)} curves converged"
-    print("\n".join([f"{counted}; wrote {written}", *said]))
+    show_result(found, [f"{counted}; wrote {written}", *said], as_json=as_json)
     if not found.converged:
         raise typer.Exit(1)

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from lbacal.cli.options import Dask, Since, SkyPowerFile, Until, Year
+from lbacal.cli.options import Dask, Json, Since, SkyPowerFile, Until, Year
 from lbacal.selection import Selection, find_spectra_files, parse_selection, read_selected
 from lbacal.with_model import HELP, read_model, report_path
 
@@ -43,6 +43,7 @@ def investigate(
     ] = None,
     dask: Dask = None,
     reason: Annotated[str | None, typer.Option(help="Why the stored spectra are investigated; it is kept.")] = None,
+    as_json: Json = False,
 ) -> None:
     """Find what the simulation gets wrong: name the cause, extend the model, measure the gain.
 
@@ -59,13 +60,13 @@ def investigate(
             raise typer.BadParameter(
                 "--stored names spectra and model: no file, no --lst-curve and no --with beside it"
             )
-        investigate_stored(selection, reason, report)
+        investigate_stored(selection, reason, report, as_json=as_json)
         return
     if report is None:
         raise typer.BadParameter("name the report to write with --report")
     from lbacal.analysis.instrument import simulation_of
     from lbacal.analysis.investigate import investigate as investigate_data
-    from lbacal.cli.outputs import progress, require_outputs, save_each
+    from lbacal.cli.outputs import progress, require_outputs, save_each, show_result
     from lbacal.engine import read_address
     from lbacal_core.lstcurve.curve import read_lst_curve
 
@@ -89,4 +90,5 @@ def investigate(
         measured = read_lst_curve(lst_curve) if lst_curve else read_selected(files, selection, time.time(), tell)
         found = investigate_data(measured, simulation, None, with_, band, dask=read_address(dask), tell=tell)
     save_each(found, outputs)
-    print("\n".join([f"{found.verdict}; wrote {report}{f' and {html}' if html else ''}", *found.lines]))
+    written = f"{found.verdict}; wrote {report}{f' and {html}' if html else ''}"
+    show_result(found, [written, *found.lines], as_json=as_json)

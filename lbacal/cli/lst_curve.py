@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from lbacal.cli.options import Band, SkyPowerFile
-from lbacal.cli.outputs import require_outputs, save_each
+from lbacal.cli.options import Band, Json, SkyPowerFile
+from lbacal.cli.outputs import require_outputs, save_each, show_result
 
 
 def lst_curve(
@@ -18,6 +18,7 @@ def lst_curve(
     instrument: Annotated[str, typer.Option(help="Instrument: a name or a JSON file.")] = "lofar-superterp",
     band: Band = (30.0, 80.0),
     plot: Annotated[Path | None, typer.Option(help="Figure to write (PNG, PDF or SVG, by its ending).")] = None,
+    as_json: Json = False,
 ) -> None:
     """Compare band power against sidereal time, measured and simulated.
 
@@ -31,4 +32,5 @@ def lst_curve(
     require_outputs(outputs, {"CURVE": curve, "--instrument": instrument, "--sky-power": sky_power})
     found = compare(curve, instrument, sky_power, band)
     save_each(found, outputs)
-    print("\n".join([*found.lines, f"wrote {report}" + (f" and {plot}" if plot else "")]))
+    written = f"wrote {report}" + (f" and {plot}" if plot else "")
+    show_result(found, [*found.lines, written], as_json=as_json)

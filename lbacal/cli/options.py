@@ -17,4 +17,5 @@ Until = Annotated[str | None, typer.Option(help="End of the events to use, not i
 Year = Annotated[int | None, typer.Option(help="One calendar year, in the place of both.", min=2009, max=9998)]
 Stations = Annotated[list[str] | None, typer.Option(help="Station to use; may be given several times.")]
 Dask = Annotated[str | None, typer.Option(help="Address of a dask scheduler, or local; LBACAL_DASK by default.")]
+Json = Annotated[bool, typer.Option("--json", help="Print the answer as JSON.")]
 Band = Annotated[tuple[float, float], typer.Option(help="First and last channel of the band, MHz.")]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
 from threading import Timer
+from typing import Any
 
 from lbacal.analysis.result import IMAGES, Result
 from lbacal_core.errors import BadInputError
@@ -45,6 +47,32 @@ def save_each(found: Result, outputs: Mapping[str, Path | None]) -> None:
     for option, path in outputs.items():
         if path is not None:
             found.save(path, FORMS.get(option))
+
+
+def show(found: Any, tell: Callable[[Any], object], *, as_json: bool) -> None:
+    """Print an answer in words, or as it is."""
+    if as_json:
+        print(json.dumps(found, indent=1, ensure_ascii=False, allow_nan=False))
+    else:
+        tell(found)
+
+
+def show_each(found: list[Any], tell: Callable[[Any], object], nothing: str, *, as_json: bool) -> None:
+    """Print the parts of an answer in words, or all of it as it is."""
+
+    def tell_all(parts: list[Any]) -> None:
+        for one in parts:
+            tell(one)
+        if not parts:
+            print(nothing)
+
+    show(found, tell_all, as_json=as_json)
+
+
+def show_result(found: Result, lines: Sequence[str], *, as_json: bool) -> None:
+    """Print a result as lines, or the report that it is saved as."""
+    report = found.as_dict() if as_json and found.as_dict else None
+    show(report, lambda _: print("\n".join(lines)), as_json=as_json)
 
 
 PATIENCE_S = 2.0

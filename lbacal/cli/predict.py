@@ -7,7 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from lbacal.cli.outputs import require_outputs
+from lbacal.cli.options import Json
+from lbacal.cli.outputs import require_outputs, show_result
 from lbacal.with_model import HELP, report_path
 
 
@@ -26,6 +27,7 @@ def predict(
     with_: Annotated[
         str | None, typer.Option("--with", metavar="R.json[#n]", help=f"{HELP} With --simulation.")
     ] = None,
+    as_json: Json = False,
 ) -> None:
     """Predict the spectrum of a path, what it is made of, SEFD, and noisy events, from the calibration in effect.
 
@@ -48,4 +50,4 @@ def predict(
             write_prediction(found.content, beside, found.draw_events(realisations, seed))
     else:
         found.save(output)
-    print("\n".join([found.title, *found.lines, f"wrote {output}"]))
+    show_result(found, [found.title, *found.lines, f"wrote {output}"], as_json=as_json)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
 import typer
 
 from lbacal.cli.client import wait_for
+from lbacal.cli.outputs import show_each
 from lbacal.client import Client
 from lbacal.files import written_beside
 from lbacal.instants import format_optional
@@ -16,7 +18,7 @@ from lbacal.selection import Selection
 from lbacal_core.errors import BadInputError
 
 
-def investigate_stored(selection: Selection, reason: str | None, report: Path | None) -> None:
+def investigate_stored(selection: Selection, reason: str | None, report: Path | None, *, as_json: bool) -> None:
     """Ask the server for investigations, one a station and calendar year, wait for them and print what they found."""
     if len(selection.stations) > 1:
         raise BadInputError("--station", "one beside --stored, or none for all", ", ".join(selection.stations))
@@ -31,13 +33,12 @@ def investigate_stored(selection: Selection, reason: str | None, report: Path | 
         found = [client.get(f"/v1/investigations/{name}") for name in job["results"]]
     if report is not None and len(found) != 1:
         raise BadInputError("--report", "one station and one calendar year, which make one report", str(len(found)))
-    for one in found:
-        print_investigation(one)
+    show_each(found, print_investigation, "no investigations", as_json=as_json)
     if report is not None:
         with written_beside(report) as beside:
             beside.write_text(json.dumps(found[0]["report"], indent=1, allow_nan=False) + "\n")
     if job["state"] != "done":
-        print(f"job {job['job']} is {job['state']}: {job['error']}")
+        print(f"job {job['job']} is {job['state']}: {job['error']}", file=sys.stderr)
         raise typer.Exit(1)
 
 

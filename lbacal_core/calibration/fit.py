@@ -67,7 +67,7 @@ from lbacal_core.curves.curves import (
 )
 from lbacal_core.curves.kept_lines import KeptLines, MemberLines, Owner
 from lbacal_core.curves.reference_chain import CableTable, ReferenceChain
-from lbacal_core.errors import BadInputError
+from lbacal_core.errors import BadInputError, require_name
 from lbacal_core.grids import Floats, require_same_grid
 from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.instrument.chain import Intercepts, calibration_factor
@@ -113,8 +113,7 @@ def fit_calibration(
     failed. A curve of a station or of the array is that of a reference chain, which the report states beside it, as it
     does the anomalous spectra that were left out.
     """
-    if scope not in SCOPES:
-        raise BadInputError("scope", ", ".join(SCOPES), repr(scope))
+    require_name("scope", scope, SCOPES)
     instrument, prior = simulation.instrument, simulation.prior
     require_same_grid(spectra.origin, spectra.frequency_mhz, instrument.frequency_mhz, f"instrument {instrument.name}")
     if len(spectra) == 0:

@@ -18,7 +18,7 @@ from lbacal_core.antenna.model import AntennaModel
 from lbacal_core.antenna.names import load_antenna
 from lbacal_core.data.constants import SPEED_OF_LIGHT
 from lbacal_core.data.prior import read_prior
-from lbacal_core.errors import BadInputError
+from lbacal_core.errors import BadInputError, require_name
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import hash_content
@@ -235,8 +235,7 @@ def list_changes(instrument: Instrument, sky_budget: str = DEFAULT_SKY_BUDGET) -
 
     Where no sky or antenna model reaches the instrument's channels, the level of the sky alone.
     """
-    if sky_budget not in SKY_BUDGETS:
-        raise BadInputError("sky budget", ", ".join(SKY_BUDGETS), repr(sky_budget))
+    require_name("sky budget", sky_budget, SKY_BUDGETS)
     try:
         changes = [*sky_terms(instrument, sky_budget, instrument.sky or "gsm"), _pattern(instrument)]
         return changes if sky_budget == PAPER_BUDGET else [*changes, _ground(instrument)]

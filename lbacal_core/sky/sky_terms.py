@@ -20,7 +20,7 @@ from lbacal_core.antenna.ideal import ShortDipole
 from lbacal_core.antenna.model import AntennaModel
 from lbacal_core.antenna.names import load_antenna
 from lbacal_core.data.prior import read_prior
-from lbacal_core.errors import BadInputError
+from lbacal_core.errors import require_name
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.instrument.power_unit import power_per_kelvin_sr
@@ -224,8 +224,7 @@ def sky_terms(instrument: Instrument, budget: str = "measured", sky: str = MEASU
         The sky model that C was made with. The budget ``measured`` is that of the sky `measured`; with `gsm` the
         measured difference between the two is a term of its own, in full.
     """
-    if budget not in SKY_BUDGETS:
-        raise BadInputError("sky budget", ", ".join(SKY_BUDGETS), repr(budget))
+    require_name("sky budget", budget, SKY_BUDGETS)
     terms = SKY_BUDGETS[budget](instrument)
     if budget == "measured" and sky == BASE_SKY:
         own = compute_sky_power(instrument, BASE_SKY)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lbacal.cli.outputs import require_outputs
+from lbacal.cli.options import Json
+from lbacal.cli.outputs import require_outputs, show, show_each
 
 if TYPE_CHECKING:
     from service.factory import Factory
@@ -98,29 +99,37 @@ def create(
     scope: Annotated[list[str], typer.Option(help="read, spectra:write, refits:run, calibrations:promote or admin.")],
     expires: Annotated[float | None, typer.Option(help="Days until the key ends; without it, never.")] = None,
     name: Annotated[str | None, typer.Option(help="Who or what uses it; stands beside what is done with it.")] = None,
+    as_json: Json = False,
 ) -> None:
     """Make a key and print it, alone on the last line; it cannot be shown again.
 
     Example: lbacal keys create --scope spectra:write --expires 365 --name "pipeline of CS002"
     """
     number, text = _factory().keys.create(tuple(scope), expires, name)
-    print(f"key {number} with scope {', '.join(scope)}; keep it now, it is not shown again:")
-    print(text)
+    told = f"key {number} with scope {', '.join(scope)}; keep it now, it is not shown again:\n{text}"
+    show({"number": number, "scopes": scope, "text": text}, lambda _: print(told), as_json=as_json)
 
 
 @keys.command(name="list")
-def list_keys() -> None:
+def list_keys(as_json: Json = False) -> None:
     """List keys, without their texts.
 
     Example: lbacal keys list
     """
     from lbacal.instants import format_optional
 
-    for key in _factory().database.look(lambda stores: stores.keys.all()):
-        ends = f"expires {format_optional(key.expires) or 'never'}"
-        revoked = f", revoked {format_optional(key.revoked)}" if key.revoked is not None else ""
-        named = f" {key.name}:" if key.name else ""
-        print(f"{key.number}:{named} {', '.join(key.scopes)}; made {format_optional(key.created)}, {ends}{revoked}")
+    found = [
+        vars(key) | {name: format_optional(getattr(key, name)) for name in ("created", "expires", "revoked")}
+        for key in _factory().database.look(lambda stores: stores.keys.all())
+    ]
+    show_each(found, _print_key, "no keys", as_json=as_json)
+
+
+def _print_key(key: dict[str, Any]) -> None:
+    revoked = f", revoked {key['revoked']}" if key["revoked"] else ""
+    named = f" {key['name']}:" if key["name"] else ""
+    ends = f"expires {key['expires'] or 'never'}{revoked}"
+    print(f"{key['number']}:{named} {', '.join(key['scopes'])}; made {key['created']}, {ends}")
 
 
 @keys.command()

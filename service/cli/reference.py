@@ -23,9 +23,9 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 _COMMANDS = """# Commands
 Written by `./dev docs` from the commands themselves: do not edit. `lbacal COMMAND --help` says what each option means
-and what it is by default, and which are required. Every command exits with 0 when it is done, 1 when the work
-failed, and 2 on bad usage or bad input, with one sentence on standard error. [How to install](how-to/install.md) says
-which need an extra.
+and what it is by default, and which are required; what answers has `--json`. Every command exits with 0 when it is
+done, 1 when the work failed, and 2 on bad usage or bad input, with one sentence on standard error. [How to
+install](how-to/install.md) says which need an extra.
 """
 _SETTINGS = """# Settings
 Written by `./dev docs` from `service/config.py` and `lbacal/settings.py`: do not edit. Each setting is an environment
@@ -114,7 +114,7 @@ def _describe(path: list[str], command: Any) -> Iterator[str]:
         yield from _describe([*path, name], one)
 
 
-OF_ALL = ("help", "install_completion", "show_completion")
+OF_ALL = ("help", "install_completion", "show_completion", "as_json")
 """Options that say nothing of a command."""
 
 

@@ -15,11 +15,11 @@ from lbacal.tables import write_format
 from lbacal_core.curves.curves import OK, STATUSES, UNCERTAIN
 from lbacal_core.curves.validity import Scope
 from service.factory import Factory
-from service.handlers.request import IMMUTABLE, REVALIDATE, AntennaQuery, InPath, Limit, UseCases, answer
+from service.handlers.request import IMMUTABLE, REVALIDATE, AntennaQuery, InPath, Limit, StationQuery, UseCases, answer
 from service.handlers.routes import page_of, reads
 from service.storage.models import ID_DIGITS
 from service.storage.versions import Version
-from service.usecases.calibrations import CurveInEffect, InEffect, WrittenCurve, select_scope
+from service.usecases.calibrations import CurveInEffect, InEffect, WrittenCurve, select_paths, select_scope
 from service.usecases.gate import compare_versions
 from service.usecases.promotions import Knowledge
 from service.wire import answer_models as wire
@@ -99,8 +99,8 @@ def list_edges(request: Request, use: UseCases, as_of: str) -> Response:
 def list_versions(
     request: Request,
     use: UseCases,
+    station: StationQuery,
     scope: Annotated[Literal["array"] | None, Query(description="array: its versions only")] = None,
-    station: str | None = None,
     antenna: AntennaQuery = None,
     dipole: str | None = None,
     status: Literal[STATUSES] | None = None,  # type: ignore[valid-type] # a closed list, written once
@@ -111,6 +111,7 @@ def list_versions(
 
     In order of id, without their curves; `next` is the cursor of the next page.
     """
+    select_paths(use.instrument, station, antenna, dipole)
     is_everything = (scope, station, antenna, dipole) == (None, None, None, None)
     wanted = None if is_everything else Scope(station, antenna, dipole)
     versions = use.database.look(lambda stores: stores.versions.search(wanted, status, cursor, limit))

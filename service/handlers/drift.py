@@ -15,7 +15,17 @@ from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import BadInputError
 from service.factory import Factory
 from service.handlers.ledger import PROMOTE, describe_changes
-from service.handlers.request import AntennaQuery, JobNumber, JsonBody, Limit, UseCases, Whole, answer, caller_with
+from service.handlers.request import (
+    AntennaQuery,
+    JobNumber,
+    JsonBody,
+    Limit,
+    StationQuery,
+    UseCases,
+    Whole,
+    answer,
+    caller_with,
+)
 from service.handlers.routes import Order, acts, ordered, page_of, reads
 from service.storage.alarms import ACKNOWLEDGED, OPEN, STATES, Alarm, AlarmsAsked
 from service.storage.changes import KeptChange, concerns
@@ -96,9 +106,9 @@ CHOICES = {"lasting": (OPEN, ACKNOWLEDGED), "all": STATES}
 def list_alarms(
     request: Request,
     use: UseCases,
+    station: StationQuery,
     state: State = "lasting",
     kind: wire.AlarmKind | None = None,
-    station: str | None = None,
     cursor: Annotated[Whole | None, Query(ge=0, le=2**63 - 1)] = None,
     limit: Limit = 100,
 ) -> Response:
@@ -145,7 +155,7 @@ Promoter = Annotated[Caller, caller_with(PROMOTE)]
 def list_changes(
     request: Request,
     use: UseCases,
-    station: str | None = None,
+    station: StationQuery,
     antenna: AntennaQuery = None,
     dipole: str | None = None,
     since: str | None = None,
@@ -158,6 +168,7 @@ def list_changes(
     entered is in force at once, what an investigation alone found is proposed. Windows are cut where a step is in
     force, until it has ended or is dismissed.
     """
+    select_paths(use.instrument, station, None if station is None else antenna, dipole)
     start, end = (
         None if one is None else parse_instant(name, one) for name, one in (("since", since), ("until", until))
     )

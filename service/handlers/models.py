@@ -11,7 +11,7 @@ from fastapi import APIRouter, Query, Request, Response
 from lbacal_core.causes.model import AdoptedCause, Model
 from service.handlers.jobs import RUN
 from service.handlers.ledger import PROMOTE, Reasoned, describe_changes
-from service.handlers.request import IMMUTABLE, InPath, Limit, UseCases, Whole, answer
+from service.handlers.request import IMMUTABLE, InPath, Limit, StationQuery, UseCases, Whole, answer
 from service.handlers.routes import Order, acts, ordered, page_of, reads
 from service.storage.models import Gain, Investigation
 from service.usecases.models import AdoptedModel, Adoption
@@ -130,7 +130,7 @@ def request_investigation(
 def list_investigations(
     request: Request,
     use: UseCases,
-    station: str | None = None,
+    station: StationQuery,
     cursor: Annotated[str | None, Query(pattern="^[0-9a-f]{64}$")] = None,
     limit: Limit = 100,
 ) -> Response:

@@ -17,6 +17,7 @@ from lbacal_core.errors import BadInputError
 from service.errors import TooLargeError, TooManyError, UnauthenticatedError, UnavailableError, UnsupportedMediaError
 from service.factory import Factory
 from service.handlers.edge import Buckets
+from service.usecases.calibrations import select_paths
 from service.usecases.keys import Caller
 from service.wire.answers import choose_media, to_json
 
@@ -65,6 +66,15 @@ Bearer = Annotated[HTTPAuthorizationCredentials | None, Security(BEARER)]
 
 UseCases = Annotated[Factory, Depends(_provide_factory)]
 """Asynchronous, as all that does not wait: what is not changes threads, which takes longer than it does."""
+
+
+async def _require_station(use: UseCases, station: str | None = None) -> str | None:
+    select_paths(use.instrument, station, None, None)
+    return station
+
+
+StationQuery = Annotated[str | None, Depends(_require_station)]
+"""The station of which a list is asked for: one of the instrument, as a misspelt one would seem to have nothing."""
 
 
 def require_read(request: Request, use: UseCases, _bearer: Bearer) -> Caller:

@@ -14,6 +14,7 @@ from service.handlers.request import (
     JsonBody,
     Limit,
     SpectraUpload,
+    StationQuery,
     UseCases,
     Whole,
     answer,
@@ -64,7 +65,7 @@ def list_receipts(
 def list_events(
     request: Request,
     use: UseCases,
-    station: Annotated[str | None, Query(pattern=r"^[^\x00-\x1f]{1,200}$")] = None,
+    station: StationQuery,
     since: str | None = None,
     until: str | None = None,
     flag: Annotated[str | None, Query(pattern=r"^[^\x00-\x1f]{1,200}$")] = None,

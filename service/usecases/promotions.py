@@ -10,7 +10,7 @@ from typing import TypeVar
 from lbacal.instants import format_instant, parse_instant
 from lbacal_core.curves.curves import CONVERGED
 from lbacal_core.curves.validity import Instant, Promotion, Scope, Stretch, timeline
-from lbacal_core.errors import BadInputError
+from lbacal_core.errors import BadInputError, offer_name
 from lbacal_core.instrument.instrument import Instrument
 from service.errors import ConflictError, NotFoundError
 from service.storage.database import Database, Stores
@@ -22,6 +22,8 @@ from service.usecases.gate import CurveChange, compare_curves
 from service.wire.bodies import PromotionBody, ReasonBody, TagBody
 
 LAST = 2**63 - 1
+OFFERED = 1000
+"""Tags of which the one that may be meant is named."""
 Answer = TypeVar("Answer")
 
 
@@ -261,8 +263,9 @@ class Tags:
             raise BadInputError("tag", "either tag or as_of", "both")
         with self.database.read() as stores:
             found = stores.tags.find(tag)
+            names = [] if found else [one.name for one in stores.tags.after("", OFFERED)]
         if found is None:
-            raise NotFoundError(f"no tag {tag!r}; GET /v1/tags lists them")
+            raise NotFoundError(f"no tag {offer_name(tag, names)}; GET /v1/tags lists them")
         return Knowledge(found.as_of, format_instant(found.as_of), is_final=True)
 
     def _past(self, text: str) -> Instant:

@@ -198,6 +198,18 @@ def test_what_those_programs_cannot_hold_is_refused(tmp_path: Path, calibrations
         write_uvcal(calibrations, instrument, tmp_path / "c.calfits")
 
 
+def test_what_is_in_effect_until_further_notice_is_so_for_a_day_after_it_was_asked_for(
+    tmp_path: Path, calibrations: dict[str, Any]
+) -> None:
+    pyuvdata = pytest.importorskip("pyuvdata")
+    for curve in calibrations["curves"]:
+        curve["valid"] = {"from": "2014-01-01", "to": None}
+    for at, end in (("2014-05-01", 2456778.5 + 1.0), (None, 2456658.5 + 1.0)):
+        write_uvcal(calibrations | {"at": at}, load_instrument("lofar-superterp"), tmp_path / f"{at}.calh5")
+        found = pyuvdata.UVCal.from_file(tmp_path / f"{at}.calh5")
+        np.testing.assert_allclose(found.time_range, [[2456658.5, end]])
+
+
 def test_two_arms_of_other_letters_become_the_feeds_of_uvcal_in_their_order(
     tmp_path: Path, calibrations: dict[str, Any]
 ) -> None:

@@ -417,6 +417,8 @@ def listening(factory: Factory) -> Iterator[str]:
         thread.start()
         while not server.started:
             time.sleep(0.01)
-        yield f"http://127.0.0.1:{taken.getsockname()[1]}"
-        server.should_exit = True
-        thread.join()
+        try:
+            yield f"http://127.0.0.1:{taken.getsockname()[1]}"
+        finally:  # a failing test would wait for it for ever
+            server.should_exit = True
+            thread.join()

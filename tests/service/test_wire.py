@@ -14,10 +14,13 @@ import numpy as np
 import pytest
 from astropy.table import Table
 from fastapi.testclient import TestClient
+from typer.testing import CliRunner
 
 import lbacal
 from lbacal.cache import Cache, CacheError
+from lbacal.cli.main import add_commands, app
 from lbacal_core.errors import BadInputError, LbacalError
+from service.cli import database
 from service.factory import Factory
 from service.storage.versions import Version
 from tests.service.conftest import listening, promote
@@ -79,6 +82,27 @@ def test_the_cache_gives_the_bytes_that_the_server_gave(factory: Factory, tagged
         assert ask_all(client.effective, tag=tagged) == served
         assert ask_all(client.effective) == served
     assert cache.is_dir()
+
+
+@pytest.mark.usefixtures("cache")
+def test_sync_keys_and_effective_answer_as_json(factory: Factory, tagged: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    add_commands()
+    monkeypatch.setattr(database, "_factory", lambda: factory)
+
+    def run(*arguments: str) -> Any:
+        told = CliRunner().invoke(app, [*arguments, "--json"]).stdout.splitlines()
+        return json.loads("".join(line for line in told if "[info " not in line))  # what the server logs
+
+    with listening(factory) as url:
+        monkeypatch.setenv("LBACAL_URL", url)
+        made = run("sync", tagged)
+        assert (made["tag"], made["stations"], made["fetched"] > 5) == (tagged, ["", "CS001", "CS002"], True)
+        asked = ["effective", "--station", "CS001", "--antenna", "0", "--dipole", "X", "--at", "2014-03-01"]
+        assert run(*asked)["curves"][0]["answered_by"] == "antenna"
+    key = run("keys", "create", "--scope", "read", "--expires", "1")
+    (listed,) = [one for one in run("keys", "list") if one["number"] == key["number"]]
+    assert (listed["scopes"], listed["revoked"], key["text"] in str(listed)) == (["read"], None, False)
+    assert listed["created"] < listed["expires"]
 
 
 @pytest.mark.usefixtures("tagged")
@@ -183,8 +207,8 @@ def test_without_a_cache_it_fails_within_two_seconds_and_names_the_next_step(
 @pytest.mark.usefixtures("cache")
 def test_what_a_cache_does_not_know_is_refused_in_a_sentence(factory: Factory, tagged: str) -> None:
     with listening(factory) as url, lbacal.Client(url) as client:
-        with pytest.raises(BadInputError, match="a tag of the server"):
-            client.sync("none")
+        with pytest.raises(BadInputError, match=rf"a tag of the server.*found '{tagged}s' \(is {tagged} meant\?\)"):
+            client.sync(f"{tagged}s")
         client.sync(tagged)
     client = lbacal.Client(ABSENT)
     for question, sentence in (
@@ -198,6 +222,7 @@ def test_what_a_cache_does_not_know_is_refused_in_a_sentence(factory: Factory, t
         ({"gap": "hold"}, "nobody answers at"),
         ({"tag": "../x"}, "tag: expected letters"),
         ({"tag": "other"}, "run `lbacal sync other`"),
+        ({"tag": tagged.upper()}, rf"does not hold the tag '{tagged.upper()}' \(is {tagged} meant\?\)"),
     ):
         with pytest.raises(LbacalError, match=sentence):
             client.effective(**{"at": "2014-03-01", **question})

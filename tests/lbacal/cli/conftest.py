@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -55,6 +56,15 @@ def make_spectra(instrument: Instrument, sky_power: SkyPower, slope: float = 4.0
         station=np.full(4 * EVENTS, "CS002"), antenna=np.repeat([0, 0, 1, 1], EVENTS),
         dipole=np.repeat(["X", "Y", "X", "Y"], EVENTS), blocks=np.full(4 * EVENTS, 100),
     )  # fmt: skip
+
+
+def list_commands(group: Any, *above: str) -> Iterator[tuple[str, Any]]:
+    """Every command by its name, those of groups too."""
+    for name, one in group.commands.items():
+        if not hasattr(one, "commands") or one.invoke_without_command:
+            yield " ".join((*above, name)), one
+        if hasattr(one, "commands"):
+            yield from list_commands(one, *above, name)
 
 
 @pytest.fixture

@@ -69,7 +69,10 @@ def test_station_tables_and_uvcal_are_written(lbacal: Lbacal, table: Path) -> No
         (("--output", "c.xml"), "a name that ends in .ecsv"),
         (("--output", "c.calfits"), "--instrument: expected the instrument"),
         (("--output", "c.csv", "--mean"), "--mean: expected the format nuradio, found csv"),
-        (("--output", "c.csv", "--station", "CS009"), "a curve of that station, antenna and dipole"),
+        (
+            ("--output", "c.csv", "--station", "cs002"),
+            "a curve of that station, antenna and dipole, found none of 'cs002' (is CS002 4 X meant?)",
+        ),
         (("--output", "c.fits"), "a file of its own"),
     ],
 )

@@ -19,12 +19,13 @@ from lbacal.cli import main as command
 from lbacal.cli.main import app
 from lbacal_core.errors import BadInputError, LbacalError, UnknownNameError, UnreadableFileError
 from lbacal_core.instrument.instrument import load_instrument
+from lbacal_core.lstcurve.curve import measured_curve
 from lbacal_core.sky.power import compute_sky_power
 from lbacal_core.sky.table import read_sky_power
 from lbacal_core.spectra.spectra import write_spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
-from tests.lbacal.cli.conftest import Lbacal
+from tests.lbacal.cli.conftest import Lbacal, list_commands
 
 LBACAL = Path(sys.executable).with_name("lbacal")
 
@@ -69,6 +70,40 @@ def test_every_command_is_listed_once_in_a_group_with_its_whole_first_sentence()
     assert [title for title in command.GROUPS if f"\n{title}:\n" not in shown] == []
     assert "name the cause, extend the\n" in shown
     assert "..." not in shown.partition("Options:")[2]
+
+
+RUN_OR_WRITE = (
+    "serve", "scheduler", "worker", "db upgrade", "db check", "db backup", "db repair-clock", "keys revoke",
+    "sky-power", "antenna-gain", "spectra", "import", "export", "paper", "causes add",
+)  # fmt: skip
+"""Commands that run something, or write a file and say so."""
+
+
+def test_every_command_that_answers_does_so_as_json() -> None:
+    command.add_commands()
+    listed = list_commands(typer.main.get_command(app))
+    options = {name: {option for parameter in one.params for option in parameter.opts} for name, one in listed}
+    assert {"audit", "changes", "changes decide", "keys list", "sync"} < set(options)
+    assert sorted(name for name, known in options.items() if "--json" not in known) == sorted(RUN_OR_WRITE)
+
+
+PREDICT = "predict --simulation lofar-superterp --station CS002"
+WHERE = "--instrument instrument.json"
+ANSWERS = {
+    f"audit spectra.h5 {WHERE} --report R.json": "spectra.h5: nothing wrong",
+    f"budget spectra.h5 {WHERE} --report R.json": "C is known best at",
+    f"fit spectra.h5 {WHERE} --sky-power sky_power.json --report fit.json --output R.json": "4 of 4 curves converged",
+    f"lst-curve {measured_curve()} {WHERE} --sky-power sky_power.json --report R.json": "chi2 per point",
+    f"investigate --lst-curve {measured_curve()} {WHERE} --sky-power sky_power.json --report R.json": "wrote R.json",
+    f"{PREDICT} --antenna 0 --dipole X --at 2014-05-01 --output R.json": "sefd",
+}
+
+
+@pytest.mark.parametrize("asked", ANSWERS)
+def test_a_command_answers_in_words_and_as_json_what_it_writes(lbacal: Lbacal, folder: Path, asked: str) -> None:
+    code, words, _ = lbacal(*asked.split())
+    assert (code, ANSWERS[asked] in words) == (0, True), words
+    assert json.loads(lbacal(*asked.split(), "--json")[1]) == json.loads((folder / "R.json").read_text())
 
 
 def test_the_installed_command_tells_its_version() -> None:

@@ -8,12 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer.main
 
+from lbacal.cli.main import add_commands, app
 from lbacal.cli.outputs import require_outputs
 from lbacal.selection import Selection, find_spectra_files, parse_selection, read_selected
 from lbacal_core.errors import BadInputError
 from lbacal_core.spectra.spectra import Spectra, write_spectra
-from tests.lbacal.cli.conftest import Lbacal
+from tests.lbacal.cli.conftest import Lbacal, list_commands
 
 
 def test_new_files_and_files_to_be_replaced_are_welcome(tmp_path: Path) -> None:
@@ -45,24 +47,41 @@ def test_an_output_is_a_file_of_its_own_in_a_folder_that_exists(
         )
 
 
+VALUES = {
+    "instrument": "lofar-superterp", "station": "CS002", "antenna": "0", "dipole": "X", "at": "2014-05-01",
+    "kind": "json",
+}  # fmt: skip
+"""Values of options and arguments that a command needs beside its output."""
+OFTEN = ("instrument", "kind", "spectra", "report")
+"""What some commands need that the line does not say by itself."""
+OUTPUTS = ("--output", "--report", "--html", "--plot", "--inspect", "OUTPUT")
+
+
+def list_outputs() -> list[tuple[str, str, list[str]]]:
+    """Every command that writes a file, the option that names it, and a command line with that in no folder."""
+    add_commands()
+    found = []
+    for name, command in list_commands(typer.main.get_command(app)):
+        needed = {one.name: one for one in command.params if one.required or one.name in OFTEN}
+        for one in command.params:
+            option = one.opts[0] if one.opts[0].startswith("-") else one.name.upper()
+            if option not in OUTPUTS or name == "paper":  # which makes its folder
+                continue
+            line = name.split()
+            for other in {**needed, one.name: one}.values():
+                value = "none/out.png" if other is one else VALUES.get(other.name, f"{other.name}.json")
+                line += [*other.opts[:1] * other.opts[0].startswith("-"), value]
+            found.append((name, option, line))
+    return found
+
+
 @pytest.mark.parametrize(
-    "arguments",
-    [
-        ["fit", "in.h5", "--instrument", "lofar-superterp", "--output", "C.ecsv", "--report", "none/out"],
-        ["fit", "in.h5", "--instrument", "lofar-superterp", "--output", "none/out", "--report", "fit.json"],
-        ["sky-power", "--instrument", "lofar-superterp", "--output", "none/out"],
-        ["lst-curve", "in.csv", "--report", "none/out"],
-        ["lst-curve", "in.csv", "--report", "R.json", "--plot", "none/out"],
-        ["spectra", "in.dat", "--output", "none/out"],
-        ["spectra", "in.dat", "--inspect", "none/out"],
-    ],
+    "arguments", [pytest.param(line, id=f"{name} {option}") for name, option, line in list_outputs()]
 )
 def test_every_command_refuses_an_output_before_it_looks_at_its_input(lbacal: Lbacal, arguments: list[str]) -> None:
     code, _, err = lbacal(*arguments)
-    assert (code, err.endswith("none/out: expected a file in a folder that exists, found no folder none\n")) == (
-        2,
-        True,
-    )
+    assert "none/out.png: expected a file in a folder that exists, found no folder none\n" in err
+    assert code == 2
 
 
 def test_a_figure_has_a_form_that_can_be_drawn() -> None:

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -106,6 +108,13 @@ def test_isotropic_brightness_is_added_in_units_of_the_extragalactic_level():
 
 
 AT_MHZ = np.array([30.0, 50.0, 65.0, 80.0, 100.0])
+
+
+@pytest.mark.parametrize(("has_cmb", "has_isotropic"), [(True, False), (False, True), (False, False), (True, True)])
+def test_what_maps_lack_of_the_isotropic_brightness_is_added(has_cmb, has_isotropic):
+    sky = replace(load_sky("gsm"), has_cmb=has_cmb, has_isotropic=has_isotropic, extra_isotropic=0.0)
+    lacks = 2.725 * (not has_cmb) + 50.0 * (150.0 / AT_MHZ) ** 2.75 * (not has_isotropic)
+    np.testing.assert_allclose(sky.isotropic_k(AT_MHZ), lacks, rtol=1e-3)
 
 
 def test_the_measured_sky_is_the_map_times_the_measured_level():

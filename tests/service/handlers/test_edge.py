@@ -54,7 +54,7 @@ def test_nul_in_an_address_was_a_failure_on_one_database_and_nothing_on_the_othe
 
 
 def test_a_percent_sign_before_two_zeros_is_text(client: TestClient) -> None:
-    assert client.get("/v1/changes?station=%2500").status_code == 200
+    assert client.get("/v1/events?flag=%2500").status_code == 200
 
 
 def test_a_number_that_could_write_into_the_log_is_replaced(client: TestClient) -> None:

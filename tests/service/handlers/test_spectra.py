@@ -7,6 +7,7 @@ import io
 import json
 import re
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from threading import Barrier
 from typing import Any
 
@@ -15,11 +16,13 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
+from lbacal_core.instrument.instrument import Instrument
+from service.config import Settings
 from service.factory import Factory
 from service.scheduler import look_for_due_work
 from service.storage.spectra import Window
 from service.wire.hdf5_child import write_example
-from tests.service.conftest import MHZ, bearer
+from tests.service.conftest import MHZ, Clock, bearer, served
 
 
 def spectrum(event: int = 0, **more: Any) -> dict[str, Any]:
@@ -216,6 +219,27 @@ def test_four_clients_that_send_the_same_events_store_each_spectrum_once(client:
     assert all(statuses <= {200, 201} for statuses, _ in results)
     assert sum(stored for _, stored in results) == 12 * 6
     assert count(client) == 12 * 6
+
+
+def test_spectra_of_an_antenna_that_is_not_on_record_then_are_refused(
+    database_url: str, clock: Clock, instrument: Instrument, tmp_path: Path
+) -> None:
+    content = instrument.as_dict()
+    for antenna, interval in enumerate(({"since": "2014-06-01"}, {"until": "2014-06-01"}, {})):
+        content["antennas"][antenna] |= interval
+    (tmp_path / "I.json").write_text(json.dumps(content))
+    factory = Factory(Settings(database_url=database_url, instrument=str(tmp_path / "I.json")), clock)
+    with served(factory) as client:
+        answers = {
+            (antenna, month): client.post("/v1/spectra", json=batch(spectrum(month, antenna=antenna, time_utc=time)))
+            for antenna in range(3)
+            for month, time in ((5, "2014-05-31T23:59:59Z"), (6, "2014-06-01T00:00:00Z"))
+        }
+    factory.database.close()
+    assert {key: answer.status_code for key, answer in answers.items()} == {
+        (0, 5): 422, (0, 6): 201, (1, 5): 201, (1, 6): 422, (2, 5): 201, (2, 6): 201,
+    }  # fmt: skip
+    assert "a time at which CS001 antenna 0 is on record, found 2014-05-31T23:59:59Z" in answers[0, 5].text
 
 
 MISSING = object()

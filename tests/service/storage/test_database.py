@@ -7,6 +7,7 @@ import sqlite3
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
@@ -40,7 +41,7 @@ from service.storage.migration import (
     require_current,
     upgrade,
 )
-from service.storage.processes import WORKER
+from service.storage.processes import WORKER, read_database_clock
 from service.storage.versions import Version
 from service.wire.bodies import RefitBody
 from tests.service.conftest import add_spectra, flat_spectra
@@ -136,6 +137,13 @@ def test_a_reader_sees_the_database_at_one_instant(factory: Factory) -> None:
         assert stores.keys.all() == []
 
 
+def test_the_clock_of_a_database_is_the_time_of_the_day(factory: Factory) -> None:
+    before = time.time()
+    with factory.database.read() as stores:
+        now = 1e-6 * read_database_clock(stores._connection)
+    assert before - 60.0 < now < time.time() + 60.0
+
+
 def test_a_reader_cannot_write(factory: Factory, database_url: str) -> None:
     if not database_url.startswith("postgresql"):
         pytest.skip("SQLite does not know reading transactions")
@@ -186,6 +194,8 @@ def test_a_value_that_no_column_holds_was_a_failure_of_the_program(factory: Fact
 
 def test_a_dropped_table_is_another_schema(factory: Factory) -> None:
     execute(factory.database, "DROP TABLE drift_year")
+    with pytest.raises(UnavailableError, match="differs from its schema in 1 places: add table drift_year"):
+        require_complete(factory.database)
     with pytest.raises(UnavailableError, match="lbacal db upgrade"):
         execute(factory.database, "DELETE FROM drift_year")
 
