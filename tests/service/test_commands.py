@@ -18,8 +18,9 @@ from lbacal_core.curves.validity import Scope
 from lbacal_core.errors import BadInputError
 from service.factory import Factory
 from service.storage.alarms import News
+from service.storage.models import Investigation
 from service.storage.versions import Version
-from tests.service.conftest import bearer, listening
+from tests.service.conftest import bearer, instant, listening
 
 SAID = """
 $ promote PATH --from 2014-01-01 --to open --reason "new cables" --dry-run
@@ -79,6 +80,14 @@ not ready: no worker has lived for a minute: start `lbacal worker`
 parts of jobs: 0 queued, 0 running, 0 done, 0 failed, 0 cancelled
 0 events, the newest of none; 0 versions wait for a human
 alarms: none open, 1 acknowledged; 1 new since yesterday
+CS001, 2014-01-01 to 2015-01-01: explained (gain_step); investigation bbbbbbbbbbbb
+  new: The gain stepped.
+$ life CS001
+2014-01-01 version STATION answers until 2015-01-01T00:00:00Z
+2019-01-01 investigation aaaaaaaaaaaa: consistent
+2019-02-01 investigation bbbbbbbbbbbb: explained
+2020-01-01 alarm 1 (acknowledged): CS001 is wrong
+versions: 1, epochs: 1
 $ models
 no models
 $ jobs
@@ -90,7 +99,17 @@ def test_what_commands_print_is_what_the_server_did(
     factory: Factory, stored: dict[str, Version], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ids = {name.upper(): stored[name].id[:12] for name in ("path", "station")}
+    begin, end = instant("2014-01-01"), instant("2015-01-01")
+    step = {
+        "cause": "gain_step",
+        "sentence": "The gain stepped.",
+        "significance_sigma": 9.0,
+        "where": {"station": "CS001", "antennas": [0], "dipoles": ["X"]},
+    }
     with factory.database.write() as stores:
+        for name, findings, day in (("a", [], "2019-01-01"), ("b", [step], "2019-02-01")):
+            report = {"verdict": "explained" if findings else "consistent", "findings": findings, "unexplained": None}
+            stores.investigations.add(Investigation(name * 64, "CS001", begin, end, {}, report, instant(day), "x", "x"))
         stores.alarms.raise_alarm(News("misfit", Scope("CS001"), "", "CS001 is wrong"), factory.clock())
     monkeypatch.setenv("LBACAL_API_KEY", bearer(factory, "admin")["Authorization"].removeprefix("Bearer "))
     with listening(factory) as url:
