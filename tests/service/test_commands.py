@@ -12,12 +12,15 @@ from typer.testing import CliRunner
 
 from lbacal.cli.client import print_job, print_receipt
 from lbacal.cli.ledger import _print_adoption, _print_jobs, print_act, print_model, print_state
-from lbacal.cli.main import app
+from lbacal.cli.main import add_commands, app
 from lbacal.cli.stored import print_investigation
 from lbacal_core.curves.validity import Scope
 from lbacal_core.errors import BadInputError
+from service.cli import database
 from service.factory import Factory
 from service.storage.alarms import News
+from service.storage.ledger import Tag
+from service.storage.migration import find_revision
 from service.storage.models import Investigation
 from service.storage.versions import Version
 from tests.service.conftest import bearer, instant, listening
@@ -120,6 +123,32 @@ def test_what_commands_print_is_what_the_server_did(
             said = "\n".join(line for line in done.stdout.splitlines() if "[info " not in line)
             assert re.sub(r"\.\d{6}Z", "Z", said).rstrip() == expected.rstrip(), (command, done.exception)
             assert done.exit_code == (command == "status")
+
+
+def test_the_commands_of_a_database_say_what_they_did(factory: Factory, monkeypatch: pytest.MonkeyPatch) -> None:
+    add_commands()
+    monkeypatch.setattr(database, "_factory", lambda: factory)
+
+    def say(command: str) -> str:
+        done = CliRunner().invoke(app, shlex.split(command))
+        assert done.exit_code == 0, done.exception
+        return done.stdout
+
+    revision = find_revision(factory.database)
+    assert say("db upgrade") == f"schema {revision}\n"
+    assert say("db check") == f"schema {revision}, as needed\n"
+    assert say("db repair-clock") == "0 instants were ahead of the database's clock\n"
+    made = say("keys create --scope read --scope refits:run --name pipeline").splitlines()
+    assert made[0] == "key 1 with scope read, refits:run; keep it now, it is not shown again:"
+    assert say("keys list") == "1: pipeline: read, refits:run; made 2020-01-01T00:00:00.000001Z, expires never\n"
+    assert say("keys revoke 1") == "key 1 is revoked\n"
+    assert re.search(r"expires never, revoked 2020-01-01T00:00:00\.\d+Z\n$", say("keys list"))
+    ahead = instant("2100-01-01")
+    with factory.database.write() as stores:
+        stores.tags.add(Tag("later", ahead, "key 1", "a clock ahead", ahead))
+    moved = say("db repair-clock").splitlines()
+    assert re.fullmatch(r"2100-01-01T\S+ -> 20\d\d-\S+Z", moved[0])
+    assert moved[-1] == "1 instants were ahead of the database's clock"
 
 
 @pytest.mark.parametrize(
