@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -16,6 +17,7 @@ from lbacal.cli.main import add_commands, app
 from lbacal.cli.stored import print_investigation
 from lbacal_core.curves.validity import Scope
 from lbacal_core.errors import BadInputError
+from lbacal_core.spectra.spectra import write_spectra
 from service.cli import database
 from service.factory import Factory
 from service.storage.alarms import News
@@ -23,7 +25,7 @@ from service.storage.ledger import Tag
 from service.storage.migration import find_revision
 from service.storage.models import Investigation
 from service.storage.versions import Version
-from tests.service.conftest import bearer, instant, listening
+from tests.service.conftest import add_spectra, bearer, flat_spectra, instant, listening
 
 SAID = """
 $ promote PATH --from 2014-01-01 --to open --reason "new cables" --dry-run
@@ -81,7 +83,7 @@ $ alarms --acknowledge 1 --until 2021-01-01 --reason "the cable is ordered"
 $ status
 not ready: no worker has lived for a minute: start `lbacal worker`
 parts of jobs: 0 queued, 0 running, 0 done, 0 failed, 0 cancelled
-0 events, the newest of none; 0 versions wait for a human
+1 events, the newest of 2014-05-13T16:53:20Z; 0 versions wait for a human
 alarms: none open, 1 acknowledged; 1 new since yesterday
 CS001, 2014-01-01 to 2015-01-01: explained (gain_step); investigation bbbbbbbbbbbb
   new: The gain stepped.
@@ -95,12 +97,23 @@ $ models
 no models
 $ jobs
 no jobs
+$ refit --scope station --station CS001 --since 2014-01-01 --until 2015-01-01 --reason "new map" --no-wait
+job 1: refit station CS001 2014-01-01 to 2015-01-01, queued (0%), versions: 0, promoted: 0, no news: 0; new map
+$ jobs
+job 1: refit station CS001 2014-01-01 to 2015-01-01, queued (0%), versions: 0, promoted: 0, no news: 0; new map
+$ jobs 1
+job 1: refit station CS001 2014-01-01 to 2015-01-01, queued (0%), versions: 0, promoted: 0, no news: 0; new map
+$ ingest S.h5
+2 spectra sent: 0 stored, 2 there already
 """
 
 
 def test_what_commands_print_is_what_the_server_did(
-    factory: Factory, stored: dict[str, Version], monkeypatch: pytest.MonkeyPatch
+    factory: Factory, stored: dict[str, Version], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
+    spectra = flat_spectra(*(("e0", 1.4e9, "CS001", 0, dipole) for dipole in "XY"))
+    write_spectra(spectra, tmp_path / "S.h5")
+    add_spectra(factory, spectra)
     ids = {name.upper(): stored[name].id[:12] for name in ("path", "station")}
     begin, end = instant("2014-01-01"), instant("2015-01-01")
     step = {
@@ -119,6 +132,7 @@ def test_what_commands_print_is_what_the_server_did(
         monkeypatch.setenv("LBACAL_URL", url)
         for part in SAID.split("\n$ ")[1:]:
             command, _, expected = re.sub("PATH|STATION", lambda found: ids[found[0]], part).partition("\n")
+            command = command.replace("S.h5", str(tmp_path / "S.h5"))
             done = CliRunner().invoke(app, shlex.split(command))
             said = "\n".join(line for line in done.stdout.splitlines() if "[info " not in line)
             assert re.sub(r"\.\d{6}Z", "Z", said).rstrip() == expected.rstrip(), (command, done.exception)
