@@ -33,7 +33,8 @@ def tell_life(found: Mapping[str, Any]) -> list[tuple[str, str]]:
         "investigations": lambda one: (one["made_at"], f"investigation {one['id'][:12]}: {one['verdict']}"),
     }
     lines = [tell(one) for name, tell in told.items() for one in found[name]]
-    return [(at[:10], words) for at, words in sorted((at or "", words) for at, words in lines)]
+    # without the Z, which stands behind the point of a part of a second
+    return [(at[:10], words) for at, words in sorted(((at or "").removesuffix("Z"), words) for at, words in lines)]
 
 
 def _tell_factor(factor: list[dict[str, Any]] | None) -> str:

@@ -9,3 +9,5 @@ def test_what_happened_on_one_day_stands_in_the_order_of_its_time() -> None:
     found = {"in_effect": [version], "changes": [change], "causes": [], "alarms": [alarm], "investigations": []}
     assert [at for at, _ in tell_life(found)] == ["", "2014-05-01", "2014-05-01"]
     assert [words.split()[0] for _, words in tell_life(found)] == ["version", "change", "alarm"]
+    found["changes"] = [{**change, "at": {"value": "2014-05-01T09:00:00.000001Z"}}]
+    assert [words.split()[0] for _, words in tell_life(found)] == ["version", "alarm", "change"]

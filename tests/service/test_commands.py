@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,14 +13,19 @@ from typer.testing import CliRunner
 
 from lbacal.cli.client import print_job, print_receipt
 from lbacal.cli.ledger import _print_adoption, _print_jobs, print_act, print_model, print_state
-from lbacal.cli.main import app
+from lbacal.cli.main import add_commands, app
 from lbacal.cli.stored import print_investigation
 from lbacal_core.curves.validity import Scope
 from lbacal_core.errors import BadInputError
+from lbacal_core.spectra.spectra import write_spectra
+from service.cli import database
 from service.factory import Factory
 from service.storage.alarms import News
+from service.storage.ledger import Tag
+from service.storage.migration import find_revision
+from service.storage.models import Investigation
 from service.storage.versions import Version
-from tests.service.conftest import bearer, listening
+from tests.service.conftest import add_spectra, bearer, flat_spectra, instant, listening
 
 SAID = """
 $ promote PATH --from 2014-01-01 --to open --reason "new cables" --dry-run
@@ -77,30 +83,86 @@ $ alarms --acknowledge 1 --until 2021-01-01 --reason "the cable is ordered"
 $ status
 not ready: no worker has lived for a minute: start `lbacal worker`
 parts of jobs: 0 queued, 0 running, 0 done, 0 failed, 0 cancelled
-0 events, the newest of none; 0 versions wait for a human
+1 events, the newest of 2014-05-13T16:53:20Z; 0 versions wait for a human
 alarms: none open, 1 acknowledged; 1 new since yesterday
+CS001, 2014-01-01 to 2015-01-01: explained (gain_step); investigation bbbbbbbbbbbb
+  new: The gain stepped.
+$ life CS001
+2014-01-01 version STATION answers until 2015-01-01T00:00:00Z
+2019-01-01 investigation aaaaaaaaaaaa: consistent
+2019-02-01 investigation bbbbbbbbbbbb: explained
+2020-01-01 alarm 1 (acknowledged): CS001 is wrong
+versions: 1, epochs: 1
 $ models
 no models
 $ jobs
 no jobs
+$ refit --scope station --station CS001 --since 2014-01-01 --until 2015-01-01 --reason "new map" --no-wait
+job 1: refit station CS001 2014-01-01 to 2015-01-01, queued (0%), versions: 0, promoted: 0, no news: 0; new map
+$ jobs
+job 1: refit station CS001 2014-01-01 to 2015-01-01, queued (0%), versions: 0, promoted: 0, no news: 0; new map
+$ jobs 1
+job 1: refit station CS001 2014-01-01 to 2015-01-01, queued (0%), versions: 0, promoted: 0, no news: 0; new map
+$ ingest S.h5
+2 spectra sent: 0 stored, 2 there already
 """
 
 
 def test_what_commands_print_is_what_the_server_did(
-    factory: Factory, stored: dict[str, Version], monkeypatch: pytest.MonkeyPatch
+    factory: Factory, stored: dict[str, Version], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
+    spectra = flat_spectra(*(("e0", 1.4e9, "CS001", 0, dipole) for dipole in "XY"))
+    write_spectra(spectra, tmp_path / "S.h5")
+    add_spectra(factory, spectra)
     ids = {name.upper(): stored[name].id[:12] for name in ("path", "station")}
+    begin, end = instant("2014-01-01"), instant("2015-01-01")
+    step = {
+        "cause": "gain_step",
+        "sentence": "The gain stepped.",
+        "significance_sigma": 9.0,
+        "where": {"station": "CS001", "antennas": [0], "dipoles": ["X"]},
+    }
     with factory.database.write() as stores:
+        for name, findings, day in (("a", [], "2019-01-01"), ("b", [step], "2019-02-01")):
+            report = {"verdict": "explained" if findings else "consistent", "findings": findings, "unexplained": None}
+            stores.investigations.add(Investigation(name * 64, "CS001", begin, end, {}, report, instant(day), "x", "x"))
         stores.alarms.raise_alarm(News("misfit", Scope("CS001"), "", "CS001 is wrong"), factory.clock())
     monkeypatch.setenv("LBACAL_API_KEY", bearer(factory, "admin")["Authorization"].removeprefix("Bearer "))
     with listening(factory) as url:
         monkeypatch.setenv("LBACAL_URL", url)
         for part in SAID.split("\n$ ")[1:]:
             command, _, expected = re.sub("PATH|STATION", lambda found: ids[found[0]], part).partition("\n")
+            command = command.replace("S.h5", str(tmp_path / "S.h5"))
             done = CliRunner().invoke(app, shlex.split(command))
             said = "\n".join(line for line in done.stdout.splitlines() if "[info " not in line)
             assert re.sub(r"\.\d{6}Z", "Z", said).rstrip() == expected.rstrip(), (command, done.exception)
             assert done.exit_code == (command == "status")
+
+
+def test_the_commands_of_a_database_say_what_they_did(factory: Factory, monkeypatch: pytest.MonkeyPatch) -> None:
+    add_commands()
+    monkeypatch.setattr(database, "_factory", lambda: factory)
+
+    def say(command: str) -> str:
+        done = CliRunner().invoke(app, shlex.split(command))
+        assert done.exit_code == 0, done.exception
+        return done.stdout
+
+    revision = find_revision(factory.database)
+    assert say("db upgrade") == f"schema {revision}\n"
+    assert say("db check") == f"schema {revision}, as needed\n"
+    assert say("db repair-clock") == "0 instants were ahead of the database's clock\n"
+    made = say("keys create --scope read --scope refits:run --name pipeline").splitlines()
+    assert made[0] == "key 1 with scope read, refits:run; keep it now, it is not shown again:"
+    assert say("keys list") == "1: pipeline: read, refits:run; made 2020-01-01T00:00:00.000001Z, expires never\n"
+    assert say("keys revoke 1") == "key 1 is revoked\n"
+    assert re.search(r"expires never, revoked 2020-01-01T00:00:00\.\d+Z\n$", say("keys list"))
+    ahead = instant("2100-01-01")
+    with factory.database.write() as stores:
+        stores.tags.add(Tag("later", ahead, "key 1", "a clock ahead", ahead))
+    moved = say("db repair-clock").splitlines()
+    assert re.fullmatch(r"2100-01-01T\S+ -> 20\d\d-\S+Z", moved[0])
+    assert moved[-1] == "1 instants were ahead of the database's clock"
 
 
 @pytest.mark.parametrize(

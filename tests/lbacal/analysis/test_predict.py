@@ -17,7 +17,6 @@ from tests.lbacal.cli.conftest import Lbacal
 from tests.lbacal.cli.conftest import lbacal as command
 
 __all__ = ["command"]
-pytestmark = pytest.mark.long
 AT = "2014-05-01T12:00:00Z"
 
 
@@ -40,6 +39,7 @@ def test_a_fit_predicts_its_paths(tmp_path: Path) -> None:
         lbacal.predict(found, at=AT, station="CS002", antenna=7, dipole="X")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("scope", ["station", "array"])
 def test_the_curve_of_a_station_or_the_array_predicts_each_of_its_paths(scope: str) -> None:
     spectra = lbacal.simulate("lofar-superterp", events=150, antennas=4)
@@ -53,6 +53,7 @@ def test_the_curve_of_a_station_or_the_array_predicts_each_of_its_paths(scope: s
         lbacal.predict(mean, **{**path, "antenna": 700})
 
 
+@pytest.mark.long
 def test_one_trace_for_all_hours_is_wrong_by_what_the_page_says(repository: Path) -> None:
     """From the faintest hour to the brightest: the Galaxy's part of the power of 30-80 MHz, and all of it."""
     found = lbacal.fit(lbacal.simulate("lofar-superterp", events=150, antennas=2), "lofar-superterp")

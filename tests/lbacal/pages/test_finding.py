@@ -9,6 +9,7 @@ import pytest
 
 from lbacal.pages.chart import Chart
 from lbacal.pages.finding import draw_finding, draw_scores, draw_sentence, draw_station, tell_finding
+from lbacal.pages.investigation import draw_page
 
 MHZ = [30.0, 55.0, 80.0]
 COURSE = {"label": "date", "at": [1.0, 2.0], "observed": [0.01, None], "sigma": [0.002, 0.004], "expected": [0.0, 0.02]}
@@ -121,3 +122,35 @@ def test_structure_without_a_cause_is_drawn_with_its_amounts_and_the_scores_besi
     assert ranking.series[0].titles[0] == "cause_13, all: -13.0 sigma, p = 0.00012"
     assert ranking.rows[-1] == "cause_2, all"
     assert draw_station({}) == {}
+
+
+def test_the_page_of_an_investigation_holds_its_report() -> None:
+    sentence = {
+        "odds_to_first": 0.2, "equation": "P -> P (1 + a)", "size": {"value": -0.2, "sigma": 0.01}, "picture": PICTURE,
+        "gain": {"held_out_log_likelihood_gain": 44.0},
+    }  # fmt: skip
+    left = {
+        "description": "structure along date", "p_value": 1e-9, "similar_to": [{**FINDING, "sentence": "Alike."}],
+        "in_words": "Power changes.", "sentences": [sentence, sentence], "would_decide": "Another year.",
+    }  # fmt: skip
+    station = {
+        "station": "CS002", "paths": 12, "events": 400, "dates": ["2014-01-02T03", "2014-12-30T01"], "findings": [0],
+        "unexplained": left, "picture": {"maps": []},
+    }  # fmt: skip
+    content = {
+        "verdict": "explained", "stations": [station], "findings": [{**FINDING, "sentence": "The gain stepped."}],
+        "scores": {"CS002": [{"cause": "gain_step", "target": "all", "score_sigma": 5.0, "p_value": 1e-6}]},
+        "unidentifiable": [{"cause": "lst_offset", "why": "one hour alone"}],
+        "provenance": {"inputs": {"spectra": "abcd"}, "model_version": 7, "notes": {"audit": "nothing wrong"}},
+    }  # fmt: skip
+    page = draw_page(content)
+    assert page.count("<svg ") == len(draw_finding(FINDING)) * 2 + len(draw_sentence(sentence)) + 1
+    for words in (
+        "wrong in spectra: explained", "Station CS002: 12 paths, 400 events, 2014-01-02 to 2014-12-30",
+        "The gain stepped.",
+        "structure along date (p = 1.0e-09)", "It resembles gain_step, which does not describe it", "Power changes.",
+        "likeliest", "0.2 : 1 to the first", "a = -0.2 ± 0.01; 44 gained", "Another year.", "one hour alone",
+        "sha256 of spectra", "abcd", "nothing wrong",
+    ):  # fmt: skip
+        assert words in page, words
+    assert "wrong in S.h5:" in draw_page(content, [("file", "S.h5")])

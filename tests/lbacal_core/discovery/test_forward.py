@@ -21,7 +21,6 @@ from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.hardware import GainTemperature
 from lbacal_twin.settings import TwinSettings
 
-pytestmark = pytest.mark.long
 AT = 1_398_945_600.0
 PER_10_K = 0.12
 FOLLOWS = AdoptedCause("gain_temperature", "CS002", "station", 0.05, 0.01, {"delay_h": 0.0})
@@ -48,6 +47,7 @@ def found(year: Spectra, is_fitted: np.ndarray) -> lbacal.Calibration:
     return lbacal.fit(year.select(is_fitted), simulation)
 
 
+@pytest.mark.long
 def test_held_out_events_are_predicted_at_their_own_temperatures(
     year: Spectra, is_fitted: np.ndarray, found: lbacal.Calibration
 ) -> None:

@@ -38,7 +38,6 @@ def test_file_that_is_no_visibilities_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", ["uvh5", "uvfits"])
-@pytest.mark.long
 def test_autocorrelations_of_both_formats_are_read_with_their_flags(tmp_path, suffix):
     from pyuvdata import Telescope, UVData
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
+from lbacal_core.curves.validity import Scope
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.sky.table import read_sky_power
 from lbacal_twin.campaign import simulate_campaign
@@ -16,7 +17,10 @@ from lbacal_twin.faults.sky import LstOffset
 from lbacal_twin.settings import TwinSettings
 from service.factory import Factory
 from service.scheduler import look_for_due_work
-from tests.service.conftest import Clock, add_spectra, flat_spectra, instant, like, night, served, work
+from service.storage.models import Investigation
+from service.storage.versions import Version
+from service.usecases.alarms import find_named
+from tests.service.conftest import Clock, add_spectra, flat_spectra, instant, like, night, promote, served, work
 
 DAY_S = 86_400.0
 
@@ -158,3 +162,44 @@ def test_a_clock_that_is_off_passed_the_gate_and_only_a_report_said_so(
         assert answer.status_code == 202, answer.text
         factory.alarms.look()
         assert http.get("/v1/alarms", params={"kind": "named_cause"}).json()["alarms"] == []
+
+
+def named(cause: str, moved: float, antennas: tuple[int, ...] = (0, 1, 2), **parameters: float) -> dict[str, Any]:
+    """A finding of an investigation that moves C by so much."""
+    where = {"station": "CS001", "antennas": list(antennas), "dipoles": ["X"], "dates": ["2014-01-01T00:00:00Z"]}
+    return {
+        "cause": cause, "sentence": f"C moves by {moved}.", "significance_sigma": 9.0, "parameters": parameters,
+        "size": {"value": 0.05, "sigma": 0.01, "unit": "fraction"}, "where": where, "evidence": {"target": "station"},
+        "calibration_change": {"median_fraction": moved},
+    }  # fmt: skip
+
+
+def test_a_named_cause_is_an_alarm_where_it_moves_c_in_effect_by_more_than_its_error(
+    factory: Factory, client: TestClient, stored: dict[str, Version]
+) -> None:
+    promote(client, stored["station"], "2013-01-01", "2016-01-01")
+    small, large = (named("gain_temperature", moved, delay_h=0.0) for moved in (0.1, 0.2))
+    within, dated = named("compression", 0.0037), named("gain_step", 0.5, date_unix=1.4e9)
+    made = [
+        ("a", "CS001", 2013, "2014-01-01", [small]),
+        ("b", "CS001", 2014, "2015-01-01", [within, dated, large]),
+        ("c", "CS001", 2015, "2015-06-01", [named("gain_temperature", 0.7, delay_h=0.0)]),
+        ("d", "CS002", 2014, "2015-01-01", [large]),
+    ]
+    with factory.database.write() as stores:
+        for k, (name, station, year, until, findings) in enumerate(made):
+            window = instant(f"{year}-01-01"), instant(until)
+            report = {"verdict": "explained", "findings": findings, "unexplained": None}
+            inputs = {"model": None}
+            stores.investigations.add(Investigation(name * 64, station, *window, inputs, report, k, "x", "x"))
+        (news,) = find_named(stores)
+    error = 0.01 * (1 / 2.2 + 1 / 3.3) / 2  # of the channels of a curve the median
+    assert news.sentence == (
+        "CS001 in 2013, 2014: C moves by 0.2. C in effect was made without it and is off by 20.0%, "
+        f"{0.2 / error:.1f} of its statistical errors: adopt it (investigation bbbbbbbbbb, finding 2), or put right "
+        "what is wrong"
+    )
+    assert (news.scope, news.subject, news.since) == (Scope("CS001"), "gain_temperature station", instant("2013-01-01"))
+    years = [(one["since"][:4], one["finding"], one["fraction"]) for one in news.content["years"]]
+    assert years == [("2013", 0, 0.1), ("2014", 2, 0.2)]
+    assert news.content["years"][0]["statistical_error"] == pytest.approx(error)
