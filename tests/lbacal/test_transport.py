@@ -117,10 +117,12 @@ class Server:
         self.tags = tags
         self.fetched = 0
 
-    def get(self, path: str, **_: Any) -> Any:
-        """The tags, or the edges."""
-        if path == "/v1/tags":
-            return {"tags": [{"name": name, "as_of": f"{year}-01-01T00:00:00Z"} for name, year in self.tags.items()]}
+    def list(self, *_: Any) -> Any:
+        """The tags."""
+        return [{"name": name, "as_of": f"{year}-01-01T00:00:00Z"} for name, year in self.tags.items()]
+
+    def get(self, *_: Any, **__: Any) -> Any:
+        """The edges."""
         edge = "2014-01-01T00:00:00Z"
         return {"stations": [{"station": "CS002", "antennas": [1], "dipoles": ["X"], "edges": [edge]}]}
 

@@ -73,7 +73,7 @@ def test_every_command_is_listed_once_in_a_group_with_its_whole_first_sentence()
 
 
 RUN_OR_WRITE = (
-    "serve", "scheduler", "worker", "db upgrade", "db check", "db backup", "db repair-clock", "keys revoke",
+    "serve", "scheduler", "worker", "db upgrade", "db check", "db backup", "db copy", "db repair-clock", "keys revoke",
     "sky-power", "antenna-gain", "spectra", "import", "export", "paper", "causes add",
 )  # fmt: skip
 """Commands that run something, or write a file and say so."""
