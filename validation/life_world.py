@@ -23,6 +23,7 @@ from lbacal_core.calibration.chain_form import PUBLISHED_FORM
 from lbacal_core.calibration.continued import Continued
 from lbacal_core.calibration.windows import LARGEST_SHARE_LEFT_OUT
 from lbacal_core.calibration.years import Beside
+from lbacal_core.causes.model import Model
 from lbacal_core.curves.covariance import Budget, BudgetTerm
 from lbacal_core.curves.curves import CONVERGED, TOO_FEW_EVENTS, CalibrationCurve, FitReport, Repeated
 from lbacal_core.curves.kept_lines import KeptLines, MemberLines, Owner
@@ -34,12 +35,13 @@ from lbacal_core.instrument.instrument import Instrument, parse_instrument
 from lbacal_core.provenance import Provenance
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.table import SkyPower
-from lbacal_core.spectra.blocks import SpectraBlock
+from lbacal_core.spectra.blocks import split_into_blocks
 from lbacal_core.spectra.spectra import Spectra
 from service.storage.changes import Cut, KeptChange
 from service.storage.sums import Sums
 from service.usecases.drift import year_of
-from service.usecases.drift_measurement import DriftMeasurement, read_events
+from service.usecases.drift_measurement import read_events
+from service.usecases.fits import Fits
 from service.usecases.watch import Watch
 
 STATION = "CS002"
@@ -239,9 +241,9 @@ def _budget(*_: Any) -> Budget:
     return Budget(MHZ, [BudgetTerm("sky", "a stand-in", dict.fromkeys("XY", np.full((1, MHZ.size), 0.05)))])
 
 
-def _measure(_: DriftMeasurement, blocks: Sequence[SpectraBlock], curves: Mapping[str, Any]) -> dict[str, EventModes]:
+def _measure(_: Fits, spectra: Spectra, __: Model, curves: Mapping[str, Any]) -> dict[str, EventModes]:
     events = {}
-    for block in blocks:
+    for block in split_into_blocks(spectra):
         at_rows = [k for k, a in enumerate(block.antennas.tolist()) if a in curves[block.dipole]]
         ln_c = np.repeat(-0.5 * np.log(block.power[at_rows, :, :1]), len(MODES), axis=2)
         events[block.dipole] = EventModes(block.antennas[at_rows], block.time_unix, ln_c)
@@ -289,8 +291,8 @@ def standing_in() -> Iterator[None]:
                 "solve_separable",
                 lambda slope, *rest: solved(q=np.zeros((len(slope), rest[-1].behind.shape[0]))),
             ),
-            ("service.usecases.drift_measurement.DriftMeasurement", "_measure", _measure),
-            ("service.usecases.drift_measurement.DriftMeasurement", "_add", lambda *_: None),
+            ("service.usecases.drift_measurement", "_measure", _measure),
+            ("service.usecases.drift_measurement", "_add", lambda *_: None),
             ("service.usecases.watch.Watch", "_report", _report),
         ):
             stack.enter_context(patch(f"{where}.{name}", what))
