@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from operator import attrgetter
 from typing import Annotated, Any, Literal
@@ -15,18 +16,36 @@ from lbacal.tables import write_format
 from lbacal_core.curves.curves import OK, STATUSES, UNCERTAIN
 from lbacal_core.curves.validity import Scope
 from service.factory import Factory
-from service.handlers.request import IMMUTABLE, REVALIDATE, AntennaQuery, InPath, Limit, StationQuery, UseCases, answer
+from service.handlers.request import (
+    IMMUTABLE,
+    REVALIDATE,
+    AntennaQuery,
+    InPath,
+    Limit,
+    StationQuery,
+    UseCases,
+    answer,
+    answer_in_pieces,
+)
 from service.handlers.routes import page_of, reads
 from service.storage.models import ID_DIGITS
 from service.storage.versions import Version
-from service.usecases.calibrations import CurveInEffect, InEffect, WrittenCurve, select_paths, select_scope
+from service.usecases.calibrations import (
+    CurveInEffect,
+    InEffect,
+    WrittenAnswer,
+    WrittenCurve,
+    select_paths,
+    select_scope,
+)
 from service.usecases.gate import compare_versions
-from service.usecases.promotions import Knowledge
 from service.wire import answer_models as wire
 from service.wire import answers
 from service.wire.answers import FORMATS, Format, choose_format, fill_answer, to_json
 
 router = APIRouter(tags=["calibrations"])
+CURVES_AT_ONCE = 64
+"""Curves that are sent in one piece, 0.5 MB."""
 
 
 @reads(router, "/v1/calibrations/effective", wire.InEffectAnswer, 404, takes_turn=True, files=True)
@@ -53,18 +72,22 @@ def get_in_effect(
     days of `at`. `scope=array` asks for the array's reference chain itself, which is nobody's cable.
     """
     kind = choose_format(format, request.headers.get("accept"))
-    paths = select_scope(use.calibrations.instrument, scope, station, antenna, dipole)
     instant = parse_at(at, mjd)
     known = use.tags.read_knowledge(as_of, tag)
-    found = use.calibrations.in_effect(instant, paths, known.as_of, hold=gap == "hold")
-    wanted = [curve for curve in found.curves if dipole in (None, curve.dipole)]
-    written = write_json(use, found, wanted, known)
-    return answer(
-        request,
-        written if kind == "json" else write_format(kind, json.loads(written)),
-        media_type=FORMATS[kind],
-        cache=IMMUTABLE if known.is_final else REVALIDATE,
-    )
+    if (scope, station, antenna, dipole, known.as_of, gap) == (None, None, None, None, None, "error"):
+        written = use.calibrations.answer_all(instant, partial(write_answer, use))
+    else:
+        paths = select_scope(use.calibrations.instrument, scope, station, antenna, dipole)
+        found = use.calibrations.in_effect(instant, paths, known.as_of, hold=gap == "hold")
+        wanted = [curve for curve in found.curves if dipole in (None, curve.dipole)]
+        written = write_answer(use, replace(found, curves=wanted))
+    head = to_json({"at": format_instant(instant), "as_of": known.text})[:-1] + b',"curves":['
+    cache = IMMUTABLE if known.is_final else REVALIDATE
+    if kind == "json":
+        pieces, size = _join(head, written), len(head) + written.size
+        return answer_in_pieces(request, pieces, size, f"{head!r} {written.digest}", cache)
+    content = json.loads(b"".join(_join(head, written)))
+    return answer(request, write_format(kind, content), media_type=FORMATS[kind], cache=cache)
 
 
 @reads(router, "/v1/budgets/{digest}", wire.BudgetAnswer, 404)
@@ -151,16 +174,23 @@ def get_diff(request: Request, use: UseCases, first: InPath, second: InPath) -> 
     return answer(request, describe_diff(a, b), cache=_keeping(first, second))
 
 
-def write_json(use: Factory, found: InEffect, curves: Sequence[CurveInEffect], known: Knowledge) -> bytes:
+def write_answer(use: Factory, found: InEffect) -> WrittenAnswer:
     """Write the curves in effect as JSON, most of which were written before."""
-    written = use.calibrations.write(curves, _write_curve)
+    written = use.calibrations.write(found.curves, _write_curve)
     named = sorted({one.budget for one in written if one.budget is not None} & found.budgets.keys())
-    return b'%b,"curves":[%b],"budgets":{%b},"missing":%b}' % (
-        to_json({"at": format_instant(found.at), "as_of": known.text})[:-1],
-        b",".join(one.text for one in written),
+    end = b'],"budgets":{%b},"missing":%b}' % (
         ",".join(f"{json.dumps(name)}:{found.budgets[name]}" for name in named).encode(),
         to_json([answers.describe_scope(path) for path in found.missing]),
     )
+    return WrittenAnswer([one.text for one in written], end)
+
+
+def _join(head: bytes, written: WrittenAnswer) -> Iterator[bytes]:
+    """An answer in pieces of some hundred kB."""
+    yield head
+    for first in range(0, len(written.curves), CURVES_AT_ONCE):
+        yield (b"," if first else b"") + b",".join(written.curves[first : first + CURVES_AT_ONCE])
+    yield written.end
 
 
 def _write_curve(curve: CurveInEffect) -> WrittenCurve:

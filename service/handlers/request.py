@@ -10,6 +10,7 @@ from contextlib import AbstractAsyncContextManager, nullcontext
 from typing import Annotated, Any, cast
 
 from fastapi import Depends, Path, Query, Request, Response, Security
+from fastapi.responses import StreamingResponse
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from pydantic import BeforeValidator
 
@@ -229,13 +230,31 @@ def answer(
 ) -> Response:
     """Answer with content; a client that holds the same bytes gets 304."""
     body = content if isinstance(content, bytes) else to_json(content)
-    etag = f'"{hashlib.sha256(body).hexdigest()}"'
+    headers, is_held = _head(request, body, cache)
+    return Response(status_code=304, headers=headers) if is_held else Response(body, status, headers, media_type)
+
+
+def answer_in_pieces(request: Request, pieces: Iterator[bytes], size: int, named: str, cache: str) -> Response:
+    """Answer with JSON of so many bytes, never whole in memory, whose content has a name; otherwise as `answer`."""
+    headers, is_held = _head(request, named.encode(), cache)
+    if is_held:
+        return Response(status_code=304, headers=headers)
+
+    async def send() -> AsyncIterator[bytes]:
+        for piece in pieces:
+            yield piece
+
+    headers["Content-Length"] = str(size)
+    return StreamingResponse(send(), headers=headers, media_type="application/json")
+
+
+def _head(request: Request, named: bytes, cache: str) -> tuple[dict[str, str], bool]:
+    """The headers of an answer that is known by some bytes, and whether the client holds it."""
+    etag = f'"{hashlib.sha256(named).hexdigest()}"'
     is_open = get_factory(request).settings.open_reads
     if not is_open:
         # what needs a key is for its holder: no cache between may keep it for others (RFC 9111, 3.5)
         cache = f"private, {cache.removeprefix('public, ')}"
     headers = {"ETag": etag, "Cache-Control": cache, "Vary": "Accept" if is_open else "Accept, Authorization, Cookie"}
     known = [tag.strip().removeprefix("W/") for tag in request.headers.get("if-none-match", "").split(",")]
-    if request.method in ("GET", "HEAD") and etag in known:
-        return Response(status_code=304, headers=headers)
-    return Response(body, status, headers, media_type)
+    return headers, request.method in ("GET", "HEAD") and etag in known

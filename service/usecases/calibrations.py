@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
+from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -27,6 +29,10 @@ FEWEST_REMEMBERED = 1200
 An instrument with more paths has one for each: a cache that is swept from end to end would hold none that is asked for.
 """
 BUDGETS_REMEMBERED = 100
+WHOLE_REMEMBERED = 2
+"""Answers for all paths: one of 5,000 paths is 43 MB."""
+State = tuple[int, Instant | None, tuple[KeptChange, ...]]
+"""The newest promotion, the latest instant of the ledger, the changes on record: what is in effect follows."""
 SLOW_STEP_US = 10 * DAY_US
 """C along a ramp or season is told for the middle of so long a time: what is cached stays true in it, and five days of
 a season are 9 % of its amplitude."""
@@ -110,6 +116,27 @@ class WrittenCurve:
 
 
 @dataclass(frozen=True)
+class WrittenAnswer:
+    """An answer without its head: the texts of curves, and what comes after them; with the SHA-256 of both."""
+
+    curves: Sequence[bytes]
+    end: bytes
+
+    @cached_property
+    def digest(self) -> str:
+        """The SHA-256 of the texts."""
+        found = hashlib.sha256(self.end)
+        for text in self.curves:
+            found.update(text)
+        return found.hexdigest()
+
+    @cached_property
+    def size(self) -> int:
+        """Bytes of the texts and of the commas between them."""
+        return sum(map(len, self.curves)) + max(0, len(self.curves) - 1) + len(self.end)
+
+
+@dataclass(frozen=True)
 class InEffect:
     """The answer for some paths at an instant; `missing` are those for which nothing is in effect.
 
@@ -167,6 +194,37 @@ class Calibrations:
     def written(self) -> Remembered[CurveInEffect, WrittenCurve]:
         """Curves as texts."""
         return Remembered(self._remembered)
+
+    @cached_property
+    def whole(self) -> Remembered[tuple[State, int], WrittenAnswer]:
+        """Answers for all paths as the ledger stands, by the stretch of time in which they are the same."""
+        return Remembered(WHOLE_REMEMBERED)
+
+    @cached_property
+    def _edges(self) -> Remembered[State, list[Instant]]:
+        """The instants between which the answer for all paths is the same, in order."""
+        return Remembered(1)
+
+    def answer_all(self, at: Instant, write: Callable[[InEffect], WrittenAnswer]) -> WrittenAnswer:
+        """Answer for all paths at an instant, as the ledger stands: written once for each stretch between edges."""
+        state = self._read_state()
+        edges = self._edges.get(state, lambda: sorted(set().union(*self.edges(self.clock()).values())))
+        stretch = bisect_right(edges, at)
+        kept = self.whole.get_many([(state, stretch)], lambda _: {})
+        if kept:
+            return kept[state, stretch]
+        found = self.in_effect(at, select_paths(self.instrument, None, None, None))
+        written = write(found)
+        is_same = 0 < stretch < len(edges) and all(one.without_cable is None for one in found.curves)
+        if is_same and self._read_state() == state:
+            self.whole.get((state, stretch), lambda: written)
+        return written
+
+    def _read_state(self) -> State:
+        number, instant, kept = self.database.ask(
+            lambda s: (s.ledger.newest_number(), s.ledger.newest_instant(), s.changes.kept())
+        )
+        return number, instant, tuple(kept)
 
     @property
     def _remembered(self) -> int:

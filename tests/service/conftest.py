@@ -124,6 +124,24 @@ def flat_spectra(*rows: tuple[str, float, str, int, str]) -> Spectra:
     return Spectra(np.array(MHZ), power, event_id, time_unix, station, antenna, dipole, blocks)
 
 
+def tell_night(factory: Factory) -> dict[str, Any]:
+    """What a night left: versions and reports by name, what was promoted, how often each part was begun."""
+    with factory.database.engine.connect() as connection:
+
+        def ask(words: str) -> list[Any]:
+            return [tuple(row) for row in connection.exec_driver_sql(words)]
+
+        return {
+            "versions": ask("SELECT id, curves FROM calibration ORDER BY id"),
+            "investigations": [
+                (name, json.loads(report)) for name, report in ask("SELECT id, report FROM investigation ORDER BY id")
+            ],
+            "promotions": ask("SELECT scope, calibration FROM promotion ORDER BY scope, calibration"),
+            "months": ask("SELECT station, digest FROM drift_year ORDER BY station"),
+            "attempts": [count for (count,) in ask("SELECT attempts FROM job_part")],
+        }
+
+
 def bearer(factory: Factory, *scopes: str) -> dict[str, str]:
     """The header of a new key with some scopes."""
     _, key = factory.keys.create(scopes)

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ from service.storage.processes import WORKER
 from service.usecases.status import Pulse
 from service.wire.answer_models import JobAnswer
 from tests.killed_worker import killing_one_of_two
-from tests.service.conftest import add_spectra, like, night, served, work
+from tests.service.conftest import add_spectra, like, night, served, tell_night, work
 
 YEAR = {"since": "2014-01-01", "until": "2015-01-01"}
 
@@ -334,25 +333,7 @@ def test_a_night_on_dask_is_the_same_though_one_of_its_workers_is_killed(
         else:
             jobs = night(factory)
         assert {(job.state, *job.errors) for job in jobs} == {("done",)}
-        told.append(tell_all(factory))
+        told.append(tell_night(factory))
     of_dask, here = told
     assert of_dask == here
     assert of_dask["attempts"] == [1] * 6
-
-
-def tell_all(factory: Factory) -> dict[str, Any]:
-    """What a night left: versions and reports by name, what was promoted, how often each part was begun."""
-    with factory.database.engine.connect() as connection:
-
-        def ask(words: str) -> list[Any]:
-            return [tuple(row) for row in connection.exec_driver_sql(words)]
-
-        return {
-            "versions": ask("SELECT id, curves FROM calibration ORDER BY id"),
-            "investigations": [
-                (name, json.loads(report)) for name, report in ask("SELECT id, report FROM investigation ORDER BY id")
-            ],
-            "promotions": ask("SELECT scope, calibration FROM promotion ORDER BY scope, calibration"),
-            "months": ask("SELECT station, digest FROM drift_year ORDER BY station"),
-            "attempts": [count for (count,) in ask("SELECT attempts FROM job_part")],
-        }

@@ -1,9 +1,10 @@
 """Speed of reading, as ratios measured in one run: .venv/bin/python -m validation.benchmarks.reads [EVENTS].
 
 The answer about one path, asked of the whole application but through no socket, is compared with a route that returns
-the same object, as JSON and through the same middleware, and all 576 paths with 576 requests. A year of a path, read
-into arrays from 6000 events of 576 spectra, is compared with the bare driver that fetches the rows of the same
-statement. Times are medians. How requests grow with what is stored `./dev prove growth` says.
+the same object, as JSON and through the same middleware, and all 576 paths with 576 requests; in an array nine times as
+large, all 5,184 paths with a route that sends the same bytes from memory. A year of a path, read into arrays from 6000
+events of 576 spectra, is compared with the bare driver that fetches the rows of the same statement. Times are medians.
+How requests grow with what is stored `./dev prove growth` says.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import asyncio
 import json
 import sys
 import time
-from collections.abc import Awaitable, Callable, Iterable, Mapping
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -31,6 +32,7 @@ from service.handlers.request import answer, require_read
 from service.logs import configure_logs
 from service.storage.spectra import Window
 from service.storage.versions import Version
+from service.usecases.calibrations import select_paths
 from validation.benchmarks.ingest import make_spectra
 from validation.benchmarks.timing import median_times
 from validation.growth import FIRST, INSTRUMENT, PATHS, make_version
@@ -38,6 +40,8 @@ from validation.running.ledger import open_factory, write_promotions
 from validation.running.postgres import open_databases
 
 TURNS, YEAR_TURNS = 41, 11
+COPIES = 9
+"""So many Superterps make an array of 5,184 paths."""
 EVENTS_AT_ONCE = 20
 EVENT_SPACING_S = 365.25 * 86_400 / 900
 ALL = f"/v1/calibrations/effective?at={FIRST}-06-01"
@@ -65,14 +69,19 @@ def enrich(versions: Iterable[Version], rng: np.random.Generator) -> tuple[Budge
     return budget, [replace(one, curves=tuple(replace(curve, **more) for curve in one.curves)) for one in versions]
 
 
-def fill(factory: Factory, events: int) -> None:
-    """Store a version of every path, with all that curves of fits carry, and events of the array, 900 a year."""
-    rng = np.random.default_rng(0)
-    budget, versions = enrich([make_version(path, FIRST, 0, rng) for path in PATHS], rng)
+def calibrate(factory: Factory, paths: Sequence[Scope], rng: np.random.Generator) -> None:
+    """Store a version of every path, with all that curves of fits carry, and put it into effect."""
+    budget, versions = enrich([make_version(path, FIRST, 0, rng) for path in paths], rng)
     with factory.database.write() as stores:
         stores.budgets.add({budget.digest: budget})
         stores.versions.add(versions)
     write_promotions(factory, (Promotion(0, v.scope, *v.window, v.id, v.made, "benchmark", "night") for v in versions))
+
+
+def fill(factory: Factory, events: int) -> None:
+    """Store a version of every path, and events of the array, 900 a year."""
+    rng = np.random.default_rng(0)
+    calibrate(factory, PATHS, rng)
     for first in range(0, events, EVENTS_AT_ONCE):
         spectra = make_spectra(min(EVENTS_AT_ONCE, events - first), first, rng)
         times = 1.4e9 + EVENT_SPACING_S * spectra.event_id.astype(float)
@@ -86,9 +95,12 @@ async def get(app: FastAPI, address: str) -> bytes:
     """The body of the answer to a request, passed to the application without a socket."""
     path, _, query = address.partition("?")
     parts: list[bytes] = []
-    status = 0
+    status, is_asked = 0, asyncio.Event()
 
     async def receive() -> dict[str, Any]:
+        if is_asked.is_set():  # nobody hangs up
+            await asyncio.Event().wait()
+        is_asked.set()
         return {"type": "http.request", "body": b"", "more_body": False}
 
     async def send(message: Mapping[str, Any]) -> None:
@@ -138,6 +150,27 @@ async def compare_answers(factory: Factory) -> None:
     print(f"  all {len(PATHS)} paths {every:.0f} ms: 1/{len(PATHS) * one / every:.0f} of so many requests")
 
 
+async def compare_with_bytes(factory: Factory) -> None:
+    """Print what the answer about all paths of a large array costs beside its bytes."""
+    antennas = [replace(one, station=f"{one.station}{k}") for k in range(COPIES) for one in INSTRUMENT.antennas]
+    factory.instrument = replace(INSTRUMENT, antennas=tuple(antennas))
+    paths = select_paths(factory.instrument, None, None, None)
+    calibrate(factory, paths, np.random.default_rng(1))
+    app = make_app(factory)
+    started = time.perf_counter()
+    body = await get(app, ALL)
+    first = time.perf_counter() - started
+
+    @app.get("/bytes", dependencies=[Depends(require_read)])
+    def same() -> Response:
+        return Response(body, media_type="application/json")
+
+    took = await in_turn({address: partial(get, app, address) for address in (ALL, "/bytes")}, YEAR_TURNS)
+    every, sent = 1e3 * took[ALL], 1e3 * took["/bytes"]
+    print(f"  all {len(paths)} paths {every:.0f} ms, {len(body) / 1e6:.0f} MB from memory {sent:.0f} ms: ", end="")
+    print(f"{every / sent:.2f}; by a server that has just started {first:.1f} s")
+
+
 def compare_a_year(factory: Factory) -> None:
     """Print what a path's year costs, as a fit reads it, beside the bare driver with the same statement."""
     statements: list[tuple[str, Any]] = []
@@ -176,6 +209,8 @@ def main(events: int = 6000) -> None:
             print(f"{kind}: {576 * events:,} spectra, medians of {TURNS - 1} turns")
             asyncio.run(compare_answers(factory))
             compare_a_year(factory)
+        with open_databases(kind, "large") as (url,), open_factory(url) as factory:
+            asyncio.run(compare_with_bytes(factory))
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -23,10 +23,12 @@ from sqlalchemy import inspect, select, text
 from sqlalchemy.exc import SQLAlchemyError
 
 from lbacal_core.errors import BadInputError
+from lbacal_core.spectra.spectra import Spectra
 from service.app import make_app
 from service.config import Settings
 from service.errors import ConflictError, UnavailableError
 from service.factory import Factory
+from service.scheduler import look_for_due_work
 from service.schema.tables import metadata
 from service.storage import database as module
 from service.storage.changes import Change, Evidence
@@ -44,7 +46,7 @@ from service.storage.migration import (
 from service.storage.processes import WORKER, read_database_clock
 from service.storage.versions import Version
 from service.wire.bodies import RefitBody
-from tests.service.conftest import add_spectra, flat_spectra
+from tests.service.conftest import add_spectra, flat_spectra, night, tell_night, work
 from validation.running.postgres import open_databases
 
 
@@ -449,6 +451,48 @@ def read_all(database: Database) -> dict[str, list[tuple[Any, ...]]]:
             for table in metadata.sorted_tables
             if table.name != "process"
         }
+
+
+@pytest.mark.long
+def test_a_backup_in_the_middle_of_a_night_is_restored_on_an_empty_machine_where_the_night_ends(
+    make_service: Callable[..., Factory], campaign: Spectra, tmp_path: Path
+) -> None:
+    few = campaign.select((campaign.antenna < 2) & (campaign.time_unix < YEAR_END))
+    more = {"lease_s": 2.0, "nightly_investigations": True}
+    first = make_service(few, **more)
+    look_for_due_work(first)
+    worker = threading.Thread(target=work, args=(first,))
+    worker.start()
+    while first.database.look(lambda stores: stores.jobs.count_by_state(0)).get("done", 0) == 0:
+        time.sleep(0.01)
+    with open_databases("sqlite" if first.settings.is_sqlite else "postgresql", "restored") as (url,):
+        if first.settings.is_sqlite:
+            copy_sqlite(first.settings.sqlalchemy_url, Path(url))
+        else:
+            dump = tmp_path / "backup.dump"
+            run_client("pg_dump", "--format=custom", f"--file={dump}", first.settings.database_url)
+            run_client("pg_restore", "--exit-on-error", "--no-owner", f"--dbname={url}", str(dump))
+        worker.join()
+        second = make_service(None, database_url=url, **more)
+        require_complete(second.database)
+        assert second.database.look(lambda stores: stores.jobs.count_open()) > 0, "the night was not over"
+        time.sleep(2.0)  # whoever held a part there is dead
+        night(second)
+        whole, restored = tell_night(first), tell_night(second)
+        assert {**restored, "attempts": 0} == {**whole, "attempts": 0}
+        assert len(whole["versions"]) == len({name for name, _ in whole["versions"]}) > 4
+        second.database.close()
+
+
+YEAR_END = 1_420_070_400.0
+
+
+def run_client(program: str, *arguments: str) -> None:
+    """Run a program of PostgreSQL's client."""
+    found = shutil.which(program)
+    if found is None:
+        pytest.skip("needs the programs of PostgreSQL's client")
+    subprocess.run([found, *arguments], check=True)
 
 
 @pytest.mark.parametrize("database_url", ["sqlite"], indirect=True)
