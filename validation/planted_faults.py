@@ -209,7 +209,7 @@ def seen_in_one_run(tree: Path, block: str = "") -> dict[str, str]:
     def run(noted: Path) -> None:
         plugin = ["-p", "validation.planted_run", *TOGETHER]
         code, failed = run_tests(tree, plugin, ALL_S, TIERS[FIRST_TIER], {LOG: str(noted), BLOCK: block})
-        if code:
+        if code and not (block and code == FAILED):  # a drawn one may end its process: the others are met below
             raise RuntimeError(f"without a fault pytest ends with {code}: {failed[:1]}")
         for fault in faults_of(block, tree) if block else ():
             if fault.name not in _read(noted):
