@@ -122,7 +122,8 @@ def test_too_few_blocks_everywhere_fails_with_the_reason(dumps: Path, tmp_path: 
 
 def test_inspect_draws_a_trace(dumps: Path, tmp_path: Path, lbacal: Lbacal) -> None:
     picture = tmp_path / "trace.png"
-    assert lbacal("spectra", dumps, "--inspect", picture)[0] == 0
+    code, said, _ = lbacal("spectra", dumps, "--inspect", picture)
+    assert (code, said.startswith(f"wrote {picture}: ")) == (0, True)
     assert picture.stat().st_size > 20_000
 
 

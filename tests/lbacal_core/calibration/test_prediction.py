@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lbacal
-from lbacal_core.calibration.prediction import EventNoise, power_per_kelvin, predict_path
+from lbacal_core.calibration.prediction import EventNoise, _split, power_per_kelvin, predict_path
 from lbacal_core.discovery.forward import predict_alone
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import Instrument
@@ -93,3 +93,16 @@ def test_events_of_other_stations_are_drawn_apart() -> None:
     one, same, other = (events.mean(axis=1) for events in lbacal.draw_together([here, here, there], 20_000))
     assert np.corrcoef(one, same)[0, 1] == pytest.approx(0.36, abs=0.04)  # 0.01 by so many, less the radiometer noise
     assert np.corrcoef(one, other)[0, 1] == pytest.approx(0.0, abs=0.04)
+
+
+@pytest.mark.parametrize(("variance", "is_shared"), [(2.15, False), (2.35, True), (9.0, True)])
+def test_channels_share_what_is_beyond_the_largest_variance_of_independent_noise(
+    variance: float, is_shared: bool
+) -> None:
+    channels, events = 50, 200  # (1 + (50 / 200)^1/2)^2 = 2.25
+    axis = np.full(channels, -(channels**-0.5))
+    shared, own = _split(np.eye(channels) + (variance - 1.0) * np.outer(axis, axis), events)
+    assert len(shared) == is_shared
+    np.testing.assert_allclose(own, 1.0 + (0.0 if is_shared else (variance - 1.0) / channels))
+    if is_shared:
+        np.testing.assert_allclose(shared[0], -axis * (variance - 1.0) ** 0.5)

@@ -5,6 +5,7 @@ import pytest
 
 from lbacal_core.causes.catalogue import CAUSES, DESCRIPTIONS
 from lbacal_core.causes.cause import SCOPES, SizeRange, Template, signature
+from lbacal_core.causes.sky import CLEAR_MHZ
 from lbacal_twin.faults.catalogue import catalogue_faults
 
 NAMED = {cause.identifier: cause for cause in CAUSES}
@@ -99,3 +100,29 @@ def test_without_temperature_and_rain_their_causes_say_what_is_missing(condition
 )
 def test_a_size_is_within_its_physical_range_or_beyond_it_by_its_error(cause, size, sigma, is_allowed):
     assert NAMED[cause].sizes.allows(size, sigma) == is_allowed
+
+
+DATED = {"date_unix": 1.4e9}, {"date_unix": 1.5e9}
+OTHERS = {
+    "gain_step": DATED,
+    "adc_noise_step": DATED,
+    "filter_shift": DATED,
+    "point_source": ({"source": "cas-a"}, {"source": "cyg-a"}),
+    "rfi_line": ({"frequency_mhz": 40.0}, {"frequency_mhz": 40.1 + CLEAR_MHZ}),
+    "dipole_swap": ({"between": "X Y"}, {"between": "X Z"}),
+}
+
+
+@pytest.mark.parametrize("cause", CAUSES, ids=lambda cause: cause.identifier)
+def test_two_of_a_cause_are_in_one_target_where_date_source_line_or_pair_is_another(cause):
+    one, other = (Template(part) for part in OTHERS.get(cause.identifier, DATED))
+    assert not cause.is_another(one, one)
+    assert cause.is_another(one, other) == (cause.identifier in OTHERS)
+    assert cause.is_another(other, one) == (cause.identifier in OTHERS)
+
+
+def test_two_lines_that_run_into_each_other_are_one():
+    line = NAMED["rfi_line"]
+    near, far = (Template({"frequency_mhz": 40.0 + distance}) for distance in (0.9 * CLEAR_MHZ, 1.1 * CLEAR_MHZ))
+    assert not line.is_another(near, Template({"frequency_mhz": 40.0}))
+    assert line.is_another(far, Template({"frequency_mhz": 40.0}))

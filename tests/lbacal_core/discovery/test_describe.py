@@ -23,6 +23,16 @@ from lbacal_twin.faults.uncatalogued import AuroralAbsorption, FieldGradient, Ma
 
 
 @pytest.mark.long
+def test_amounts_grow_with_the_number_of_the_antenna_or_do_not():
+    def growth(*sizes):
+        return Description(amounts={k: (size, 0.1) for k, size in enumerate(sizes)}).grows_with_number
+
+    assert growth(1.0, 2.0, 3.0, 4.0) == pytest.approx(1.0)
+    assert growth(4.0, 3.0, 2.0, 1.0) == pytest.approx(-1.0)
+    assert growth(1.0, -1.0, -1.0, 1.0) == pytest.approx(0.0, abs=1e-9)
+    assert growth(1.0, 2.0, 3.0) is None
+
+
 def test_noise_is_not_put_into_words(station):
     """Not even where one asks for the structure that chance explains least."""
     model = fit_chain(station)

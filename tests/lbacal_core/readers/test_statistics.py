@@ -75,6 +75,15 @@ def test_statistics_of_beamlets_are_refused(tmp_path):
         open_source(tmp_path / "bst.h5")
 
 
+def test_statistics_without_an_antenna_in_use_and_a_damaged_file_are_refused(tmp_path):
+    write_statistics(tmp_path / "off.h5", antenna_status=["OFF"] * ANTENNAS)
+    with pytest.raises(BadInputError, match="at least one antenna in use, found none"):
+        open_source(tmp_path / "off.h5")
+    (tmp_path / "half.h5").write_bytes((tmp_path / "off.h5").read_bytes()[:3000])
+    with pytest.raises(UnreadableFileError, match=r"half\.h5: expected sub-band statistics \(HDF5\)"):
+        statistics.open_statistics(tmp_path / "half.h5")
+
+
 def test_a_second_without_its_timestamp_is_refused_by_name(tmp_path):
     write_statistics(tmp_path / "sst.h5")
     with h5py.File(tmp_path / "sst.h5", "a") as file:

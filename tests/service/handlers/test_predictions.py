@@ -14,7 +14,6 @@ from lbacal.analysis import predict
 from service.factory import Factory
 from tests.service.conftest import refit, served
 
-pytestmark = pytest.mark.long
 PATH = {"station": "CS002", "antenna": 1, "dipole": "X"}
 AT = "2014-06-01T12:00:00Z"
 

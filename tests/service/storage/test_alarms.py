@@ -155,10 +155,11 @@ def test_events_come_back_as_they_were_and_a_year_is_replaced_whole(factory: Fac
 
 def test_the_last_report_is_the_one_that_is_kept(factory: Factory) -> None:
     with factory.database.write() as stores:
-        assert stores.drift.report() is None
+        assert (stores.drift.report(), stores.drift.report_made(), stores.drift.state()) == (None, None, [])
         stores.drift.keep_report("a", {"changes": []}, 1)
         stores.drift.keep_report("b", {"changes": [1]}, 2)
-        assert stores.drift.report() == {"changes": [1]}
+        assert (stores.drift.report(), stores.drift.report_made()) == ({"changes": [1]}, ("b", 2))
+        assert stores.drift.state() == [["b", 2]]
 
 
 @pytest.mark.long

@@ -84,7 +84,6 @@ def drift_of_path(http: TestClient) -> Floats:
     return np.array([month["c_ratio"] for month in http.get("/v1/drift", params=PATH).json()["months"]])
 
 
-@pytest.mark.long
 def test_an_adopted_finding_changes_c_as_announced_and_withdrawal_restores_it_bit_by_bit(
     station: Factory, http: TestClient, found: str
 ) -> None:
@@ -166,7 +165,6 @@ def test_a_withdrawal_did_not_restore_what_somebody_had_put_into_effect_for_a_pa
     assert [told(http, at)["calibration"] for at in ("2015-03-01", "2015-07-01", "2015-11-01")] == before
 
 
-@pytest.mark.long
 def test_a_repeated_adoption_was_refused_although_its_first_try_was_done(http: TestClient, found: str) -> None:
     """Its plan was made before the idempotency key was looked up, and found the cause adopted already."""
     body = {"finding": 0, "reason": "test", "promote": True}
@@ -209,7 +207,6 @@ def test_a_fit_that_began_before_an_adoption_does_not_go_into_effect_after_it(
     assert told(http, "2015-06-01")["calibration"] == after
 
 
-@pytest.mark.long
 def test_what_cannot_be_adopted_is_refused(http: TestClient, found: str) -> None:
     route = f"/v1/investigations/{found}/adoption"
     good = {"finding": 0, "reason": "test", "promote": False}

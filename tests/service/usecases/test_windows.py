@@ -1,0 +1,44 @@
+"""Which windows are fitted together, and of which paths the hardware is the same."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from lbacal_core.curves.kept_lines import KeptLines
+from service.storage.sums import KeptPiece
+from service.usecases.windows import ALONE, Neighbours
+from tests.service.conftest import instant
+
+LINES = KeptLines(
+    owners=[("CS002", 0, "X"), ("CS002", 1, "X"), ("CS003", 0, "X"), (None, None, "X")],
+    spectra=np.array(["a", "b", "c", "d"]), typical_blocks=100.0,
+    **dict.fromkeys(("events", "has_c", "is_good", "slope", "intercept"), np.ones(4)),
+    **dict.fromkeys(("information", "radiometer", "constant", "behind", "scatter", "loss"), np.ones(4)),
+)  # fmt: skip
+EARLY, NEXT, LATE = (
+    KeptPiece(instant(f"{year}-01-01"), instant(f"{year + 1}-01-01"), [LINES]) for year in (2012, 2013, 2016)
+)
+YEAR = instant("2014-01-01"), instant("2015-01-01")
+
+
+def is_same(changes: dict[tuple[str, int | None], list[int]], piece: KeptPiece) -> list[bool]:
+    ((_, beside),) = Neighbours([piece], changes, {}).beside(*YEAR)
+    assert beside.lines is LINES
+    return [bool(one) for one in beside.is_same]
+
+
+def test_the_nearest_window_comes_first() -> None:
+    assert [one for one, _ in Neighbours([EARLY, LATE, NEXT], {}, {}).beside(*YEAR)] == [NEXT, EARLY, LATE]
+    assert [one for one, _ in ALONE.and_also(LATE).and_also(NEXT).beside(*YEAR)] == [NEXT, LATE]
+
+
+def test_a_change_between_two_windows_parts_the_paths_that_it_concerns() -> None:
+    between, before, after = (instant(day) for day in ("2013-06-01", "2012-06-01", "2015-06-01"))
+    assert is_same({}, EARLY) == [True] * 4
+    assert is_same({("CS002", 1): [between]}, EARLY) == [True, False, True, True]
+    assert is_same({("CS002", None): [between]}, EARLY) == [False, False, True, True]
+    assert is_same({("CS002", 1): [before, after]}, EARLY) == [True] * 4
+    assert is_same({("CS003", 0): [after]}, LATE) == [True, True, False, True]
+    assert is_same({("CS003", 0): [YEAR[1]]}, replace(LATE, since=YEAR[1])) == [True, True, False, True]
