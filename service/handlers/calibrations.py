@@ -74,7 +74,8 @@ def get_in_effect(
     kind = choose_format(format, request.headers.get("accept"))
     instant = parse_at(at, mjd)
     known = use.tags.read_knowledge(as_of, tag)
-    if (scope, station, antenna, dipole, known.as_of, gap) == (None, None, None, None, None, "error"):
+    is_whole = (scope, station, antenna, dipole, known.as_of, gap) == (None, None, None, None, None, "error")
+    if is_whole:
         written = use.calibrations.answer_all(instant, partial(write_answer, use))
     else:
         paths = select_scope(use.calibrations.instrument, scope, station, antenna, dipole)
@@ -83,11 +84,12 @@ def get_in_effect(
         written = write_answer(use, replace(found, curves=wanted))
     head = to_json({"at": format_instant(instant), "as_of": known.text})[:-1] + b',"curves":['
     cache = IMMUTABLE if known.is_final else REVALIDATE
-    if kind == "json":
-        pieces, size = _join(head, written), len(head) + written.size
-        return answer_in_pieces(request, pieces, size, f"{head!r} {written.digest}", cache)
-    content = json.loads(b"".join(_join(head, written)))
-    return answer(request, write_format(kind, content), media_type=FORMATS[kind], cache=cache)
+    pieces = _join(head, written)
+    if kind == "json" and is_whole:
+        return answer_in_pieces(request, pieces, len(head) + written.size, f"{head!r} {written.digest}", cache)
+    body = b"".join(pieces)
+    content = body if kind == "json" else write_format(kind, json.loads(body))
+    return answer(request, content, media_type=FORMATS[kind], cache=cache)
 
 
 @reads(router, "/v1/budgets/{digest}", wire.BudgetAnswer, 404)

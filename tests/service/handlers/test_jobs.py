@@ -133,7 +133,7 @@ def test_the_same_inputs_are_investigated_once_and_named_alike(
     body = {"since": "2014-01-01", "until": "2014-04-01", "station": "CS002"}
     first = run(station, asked, **body)
     made = asked.get(f"{ROUTE}/{first['results'][0]}").json()
-    monkeypatch.setattr(type(station.investigations), "_investigate", None)  # a second search would fail
+    monkeypatch.setattr("service.usecases.investigations._investigate", None)  # a second search would fail
     again = run(station, asked, **body, reason="once more")
     assert again["results"] == first["results"]
     assert asked.get(f"{ROUTE}/{again['results'][0]}").json() == made
