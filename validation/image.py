@@ -128,9 +128,16 @@ class Composed:
     def down(self) -> dict[str, int]:
         """Ask every process to end; their exit codes."""
         for label, process in self.processes.items():
-            if process.poll() is None:
-                os.kill(int((self.numbers / label).read_text()), signal.SIGTERM)
+            self._ask_to_end(self.numbers / label, process)
         return {label: process.wait(60) for label, process in self.processes.items()}
+
+    def _ask_to_end(self, number: Path, process: subprocess.Popen[bytes]) -> None:
+        def is_known() -> bool:
+            return process.poll() is not None or (number.is_file() and number.read_text().endswith("\n"))
+
+        wait_until(is_known, f"the number of {number.name}")
+        if process.poll() is None:
+            os.kill(int(number.read_text()), signal.SIGTERM)
 
     def _inside(self, name: str) -> list[str]:
         service = self.services[name]

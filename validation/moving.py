@@ -25,6 +25,7 @@ from lbacal.instants import format_instant
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.curves.validity import Scope
 from lbacal_core.grids import Floats
+from lbacal_core.provenance import DRIFT_VERSION
 from lbacal_core.sky.power import compute_sky_power
 from lbacal_core.sky.table import write_sky_power
 from lbacal_twin.campaign import Campaign, simulate_campaign
@@ -229,7 +230,7 @@ def _pass(service: Service, seed: int) -> Row:
     return {
         "kind": kind, "who": who, "antennas": antennas, "nights": nights, "pulls": pulls,
         "station": None if before is None or after is None else _pull(*after, before[0]),
-        "planted": moving.describe(), "found": _changes_in_force(factory, moving),
+        "planted": moving.describe(), "found": _changes_in_force(factory, moving), "drift": DRIFT_VERSION,
     }  # fmt: skip
 
 
