@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -196,28 +195,18 @@ class Calibrations:
         return Remembered(self._remembered)
 
     @cached_property
-    def whole(self) -> Remembered[tuple[State, int], WrittenAnswer]:
-        """Answers for all paths as the ledger stands, by the stretch of time in which they are the same."""
+    def whole(self) -> Remembered[tuple[State, Instant], WrittenAnswer]:
+        """Answers for all paths at an instant, as the ledger stands."""
         return Remembered(WHOLE_REMEMBERED)
 
-    @cached_property
-    def _edges(self) -> Remembered[State, list[Instant]]:
-        """The instants between which the answer for all paths is the same, in order."""
-        return Remembered(1)
-
     def answer_all(self, at: Instant, write: Callable[[InEffect], WrittenAnswer]) -> WrittenAnswer:
-        """Answer for all paths at an instant, as the ledger stands: written once for each stretch between edges."""
+        """Answer for all paths at an instant, as the ledger stands: written once for each instant."""
         state = self._read_state()
-        edges = self._edges.get(state, lambda: sorted(set().union(*self.edges(self.clock()).values())))
-        stretch = bisect_right(edges, at)
-        kept = self.whole.get_many([(state, stretch)], lambda _: {})
-        if kept:
-            return kept[state, stretch]
-        found = self.in_effect(at, select_paths(self.instrument, None, None, None))
-        written = write(found)
-        is_same = 0 < stretch < len(edges) and all(one.without_cable is None for one in found.curves)
-        if is_same and self._read_state() == state:
-            self.whole.get((state, stretch), lambda: written)
+        for kept in self.whole.get_many([(state, at)], lambda _: {}).values():
+            return kept
+        written = write(self.in_effect(at, select_paths(self.instrument, None, None, None)))
+        if self._read_state() == state:
+            self.whole.get((state, at), lambda: written)
         return written
 
     def _read_state(self) -> State:
