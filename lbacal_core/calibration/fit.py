@@ -118,12 +118,13 @@ def fit_calibration(
     require_same_grid(spectra.origin, spectra.frequency_mhz, instrument.frequency_mhz, f"instrument {instrument.name}")
     if len(spectra) == 0:
         raise BadInputError(spectra.origin, "at least one spectrum", "none")
-    cable_of = {**_cables_of_away(beside, spectra, instrument), **require_one_cable_each(spectra, instrument)}
+    same = _unchanged_cables(beside, spectra, instrument)
+    cable_of = {**same, **require_one_cable_each(spectra, instrument)}
     table = CableTable.of(instrument)
 
     def elsewhere(owner: Owner) -> list[MemberLines]:
         own = [one for one in pick_beside(beside, owner) if one.is_same[0] and one.lines.is_good[0]]
-        return [one.lines.members for one in own if one.lines.members is not None]
+        return [one.lines.members.select(same) for one in own if one.lines.members is not None]
 
     def fit_paths(read: Callable[[], Paths]) -> _Fitted:
         paths = read()
@@ -181,7 +182,7 @@ def fit_calibration(
     )
 
 
-def _cables_of_away(beside: Sequence[Beside], spectra: Spectra, instrument: Instrument) -> Cables:
+def _unchanged_cables(beside: Sequence[Beside], spectra: Spectra, instrument: Instrument) -> Cables:
     """The cables of members of means in other windows, where there is one on record, that of the window too."""
     edges = float(spectra.time_unix.min()), float(spectra.time_unix.max())
     names = {name for one in beside if one.lines.members is not None for name in one.lines.members.names}

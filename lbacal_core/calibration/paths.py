@@ -112,7 +112,7 @@ def paths_of_scope(
     cable_of
         The cables of the antennas of the spectra, and of those that a mean may have although they are away.
     elsewhere
-        The members of a mean in other windows, the nearest first.
+        The members of a mean in other windows that have the same hardware in all, the nearest first.
     """
     typical, smallest = float(np.median(spectra.blocks)), radiometer_limit(spectra)
 
@@ -220,7 +220,7 @@ def _mean_path(
         averaged = [(block.station, int(antenna)) for antenna in antennas]
         scatters.append(np.median(lines.levels.radiometer, axis=1))
         singles.append(_single_paths(averaged, fitted, is_member, simulation.instrument, cable_of))
-    member_lines = join_away(join_members(found), elsewhere, cable_of) if found else None
+    member_lines = join_away(join_members(found), elsewhere) if found else None
     power, relative_variance = mean.take(simulation.sky_power.of_station(station).at(dipole, lst_hours), member_lines)
     has_data = np.isfinite(relative_variance)
     unit = float(np.median(relative_variance[has_data])) if np.any(has_data) else 1.0

@@ -46,6 +46,11 @@ class MemberLines:
         """Station and antenna of each."""
         return list(zip(self.stations.tolist(), self.antennas.tolist(), strict=True))
 
+    def select(self, names: Container[tuple[str, int]]) -> MemberLines:
+        """Select the members among some stations and antennas."""
+        at = [name in names for name in self.names]
+        return MemberLines(**{key: values[at] for key, values in vars(self).items()})
+
     @property
     def is_away(self) -> NDArray[np.bool_]:
         """Whether a member takes part in no event, shape (member,)."""
@@ -57,7 +62,7 @@ def join_members(parts: Sequence[MemberLines]) -> MemberLines:
     return MemberLines(**{f.name: np.concatenate([getattr(one, f.name) for one in parts]) for f in fields(MemberLines)})
 
 
-def join_away(here: MemberLines, elsewhere: Sequence[MemberLines], lendable: Container[tuple[str, int]]) -> MemberLines:
+def join_away(here: MemberLines, elsewhere: Sequence[MemberLines]) -> MemberLines:
     """The members of a mean with those that are away, whose lines other windows have.
 
     The mean of a station would otherwise be that of other antennas while one is dead, and differ by its departure. The
@@ -66,14 +71,12 @@ def join_away(here: MemberLines, elsewhere: Sequence[MemberLines], lendable: Con
     Parameters
     ----------
     elsewhere
-        The members in other windows, the nearest first.
-    lendable
-        Stations and antennas that may be away: with the same hardware in all windows.
+        The members in other windows that have the same hardware in all, the nearest first.
     """
     for there in elsewhere:
         own, then = here.names, {name: k for k, name in enumerate(there.names) if not there.is_away[k]}
         both = [k for k, name in enumerate(own) if name in then and not here.is_away[k]]
-        at = [k for name, k in then.items() if name not in own and name in lendable]
+        at = [k for name, k in then.items() if name not in own]
         if both and at:
             of = [then[own[k]] for k in both]
             slope, intercept = (

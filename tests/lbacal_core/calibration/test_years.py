@@ -189,6 +189,16 @@ def test_an_antenna_that_is_away_for_a_year_stays_in_the_mean(scene, years, scop
         assert np.max(np.abs(np.log(curve.c / of_all.c))) < 0.004, "the gain of a year by one antenna of two"
     other = fit_calibration(without, scene.simulation, scope, beside(reports, 1, is_same=False))
     assert [antenna for _, antenna in other.chains[0].members] == [0], "of other hardware nothing is lent"
+    moved = next(one for one in scene.instrument.antennas if one.antenna == 1 and one.station == "CS002")
+    others = [one for one in scene.instrument.antennas if one is not moved]
+    records = [
+        replace(moved, until=years[2].time_unix.min()),
+        replace(moved, since=years[2].time_unix.min(), cable="50"),
+    ]
+    instrument = replace(scene.instrument, antennas=(*others, *records))
+    few = years[1].select((years[1].antenna != 1) | np.isin(years[1].event_id, np.unique(years[1].event_id)[:25]))
+    changed = fit_calibration(few, replace(scene.simulation, instrument=instrument), scope, beside(reports, 1))
+    assert [antenna for _, antenna in changed.chains[0].members] == [0], "nor what another cable has been to"
     lent = [read_lines(write_lines(found.lines))[0].members, found.lines[0].members]
     assert [one.is_away.tolist() for one in lent] == [[False, True]] * 2
     again = fit_calibration(without, scene.simulation, scope, [*beside([found], 1), *beside(reports, 1)])
