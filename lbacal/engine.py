@@ -19,6 +19,8 @@ from lbacal_core.errors import LbacalError, MissingExtraError
 
 LOCAL = "local"
 """In the place of an address: dask's workers are processes of this machine, one a core."""
+NO_PORT = "127.0.0.1:0"
+"""Where a local cluster shows itself: on a port of its own, since without an address dask takes 8787 for all."""
 AHEAD = 2
 """Items for each thread of the workers that are sent and not yet done."""
 
@@ -140,9 +142,8 @@ def _connect(address: str) -> Any:
 
     # by itself dask warns of more than 10 MB, and a station's year is more
     dask.config.set({"distributed.admin.large-graph-warning-threshold": "1GB"})
-    here = {"threads_per_worker": 1, "dashboard_address": None}
     try:
-        return Client(**here) if address == LOCAL else Client(address)
+        return Client(threads_per_worker=1, dashboard_address=NO_PORT) if address == LOCAL else Client(address)
     except OSError as error:
         raise EngineAwayError(f"no dask scheduler answers at {address}") from error
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from lbacal.engine import Engine
+from lbacal.engine import NO_PORT, Engine
 
 
 @contextmanager
@@ -44,7 +44,7 @@ def killing_one_of_two(folder: Path, place: str) -> Iterator[Engine]:
         (signs / "go").touch()
 
     cluster = distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, memory_limit=0
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=NO_PORT, memory_limit=0
     )
     with cluster, distributed.Client(cluster.scheduler_address) as client, Engine(cluster.scheduler_address) as engine:
         client.run(wait_in_every_task)

@@ -5,7 +5,7 @@ import pickle
 
 import pytest
 
-from lbacal.engine import HERE, LOCAL, Engine, EngineAwayError
+from lbacal.engine import HERE, LOCAL, NO_PORT, Engine, EngineAwayError
 from lbacal_core.errors import BadInputError, LbacalError, MissingExtraError
 from lbacal_core.provenance import Remembered
 
@@ -34,7 +34,7 @@ def test_other_processes_keep_the_owner_and_what_it_remembers_and_tell_their_err
     pytest.importorskip("distributed")
     owner = Remembered[str, int](1)
     owner.get("process", os.getpid)
-    with Engine(LOCAL) as engine:
+    with Engine(LOCAL), Engine(LOCAL) as engine:
         assert engine.slots == os.cpu_count()
         found = dict(engine.spread(divide, owner, ((k, 2) for k in range(20))))
         assert [found[k][0] for k in range(20)] == [k / 2 for k in range(20)]
@@ -54,7 +54,7 @@ def test_a_scheduler_that_is_gone_is_one_sentence() -> None:
     with dask.config.set({"distributed.comm.timeouts.connect": 2.0}):
         with pytest.raises(EngineAwayError, match="no dask scheduler answers"):
             Engine("tcp://127.0.0.1:1")
-        cluster = distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None)
+        cluster = distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=NO_PORT)
         with Engine(cluster.scheduler_address) as engine:
             assert engine.call(divide, Remembered(1), 1, 2)[0] == 0.5
             cluster.close()
