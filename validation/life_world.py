@@ -304,12 +304,16 @@ def standing_in() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Piece:
-    """A time [since, until) in which one curve of a scope answers, and ln C with its error; None without one."""
+    """A time [since, until) in which one curve of a scope answers, and ln C with its error; None without one.
+
+    By `lag` errors it may change if each window that it sees changes by one of its own.
+    """
 
     since: Instant
     until: Instant
     ln_c: float | None
     sigma: float
+    lag: float
 
 
 @dataclass(frozen=True)
@@ -372,8 +376,14 @@ def _solve_all(windows: Sequence[_Window], dates: Sequence[Instant]) -> list[Pie
         same = [other for other in others if has_c[other.since] and not one.is_apart(other, dates)]
         joined = [one, *(same if one.events >= FEWEST else enough)]
         value = ln_c(one.mean, [(w.mean, w.events) for w in joined]) if has_c[one.since] else None
-        pieces.append(Piece(one.since, one.until, value, SIGMA / one.events**0.5))
+        pieces.append(Piece(one.since, one.until, value, SIGMA / one.events**0.5, _lag(one.events, joined)))
     return pieces
+
+
+def _lag(events: int, joined: Sequence[_Window]) -> float:
+    """By how many of its errors C of a window changes where C of all windows that it sees changes by one of theirs."""
+    shares = [(one.events, one.events / sum(w.events for w in joined)) for one in joined[1:]]
+    return sum(((events / n) ** 0.5 * OF_ALL * share / (1.0 - OF_ALL + OF_ALL * share) for n, share in shares), 0.0)
 
 
 def _means(months: Sequence[Month], dipole: str, cuts: Sequence[Cut]) -> Iterator[_Window]:

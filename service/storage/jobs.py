@@ -120,6 +120,10 @@ class Tries:
     failed: int
     again: Instant | None
 
+    def is_due(self, now: Instant) -> bool:
+        """Whether it is neither open nor done, and no pause after a failure lasts."""
+        return not self.is_settled and (self.again is None or now >= self.again)
+
 
 @dataclass(frozen=True)
 class Failure:
@@ -137,7 +141,7 @@ class JobStore(Store):
         key = order.due_name
         if key is not None:
             tries = self._tries(key)
-            if tries.is_settled or (tries.again is not None and now < tries.again):
+            if not tries.is_due(now):
                 return None
             key = f"{key}.{tries.failed}" if tries.failed else key
         request = canonical_json(order.request)
@@ -155,6 +159,10 @@ class JobStore(Store):
         parts = [{**of_part, "request": canonical_json(part)} for part in order.parts]
         self._connection.execute(job_part.insert(), parts)
         return int(number)
+
+    def is_due(self, order: Order, now: Instant) -> bool:
+        """Whether `add` would make a job."""
+        return order.due_name is None or self._tries(order.due_name).is_due(now)
 
     def called_for(self, order: Order) -> dict[str, Any] | None:
         """The inputs that made the same work due before; None if it never was."""

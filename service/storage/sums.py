@@ -20,6 +20,7 @@ from sqlalchemy import select
 from lbacal_core.curves.kept_lines import KeptLines, read_lines, write_lines
 from lbacal_core.curves.validity import Instant, Scope, parse_scope
 from lbacal_core.grids import Floats
+from lbacal_core.provenance import hash_content
 from service.schema.tables import sums
 from service.storage.rows import Store, from_row, put_rows, to_row
 
@@ -72,10 +73,10 @@ _NOTHING = sha256(_pack({})).hexdigest()
 class SumStore(Store):
     """Blocks by their kind, scope and window."""
 
-    def put(self, block: Sums) -> None:
-        """Keep a block in place of the one before."""
+    def put(self, block: Sums, name: str | None = None) -> None:
+        """Keep a block in place of the one before; its name is the hash of what it holds if it has no other."""
         content = _pack(block.arrays)
-        digest = sha256(content).hexdigest()
+        digest = name or sha256(content).hexdigest()
         put_rows(self._connection, sums, [to_row(block, sums, scope=block.scope.key, arrays=content, sha256=digest)])
 
     def get(self, kind: str, scope: Scope, since: Instant, until: Instant) -> Sums | None:
@@ -89,8 +90,11 @@ class SumStore(Store):
         return list(self.of_kind(kind, (sums.c.scope == scope.key) & is_apart))
 
     def names_beside(self, kind: str, scope: Scope, since: Instant, until: Instant) -> list[list[Any]]:
-        """The name of the lines of these blocks; another one where their window was fitted from other spectra."""
-        named = [getattr(sums.c, name) for name in ("since_us", "inputs", "whole", "flag", "event")]
+        """The names of the lines of these blocks: others where a path was fitted from other spectra, and then only.
+
+        So the fits of two windows do not call for each other for ever.
+        """
+        named = sums.c.since_us, sums.c.inputs, sums.c.sha256
         is_apart = (sums.c.until_us <= since) | (sums.c.since_us >= until)
         is_it = (sums.c.kind == kind) & (sums.c.scope == scope.key) & is_apart
         return [list(row) for row in self._connection.execute(select(*named).where(is_it).order_by(*named))]
@@ -147,6 +151,17 @@ def write_pieces(pieces: Sequence[KeptPiece]) -> dict[str, Any]:
         arrays[f"{k}.told"] = np.array([one.curves[dipole] for one in piece.told for dipole in sorted(one.curves)])
         arrays |= {f"{k}.{name}": values for name, values in write_lines(piece.lines).items()}
     return {"pieces": np.array(json.dumps(head)), **arrays}
+
+
+def name_pieces(pieces: Sequence[KeptPiece]) -> str:
+    """The hash of the spectra that the lines of pieces are of."""
+    lines = [(piece, one) for piece in pieces for one in piece.lines]
+    named = [
+        [piece.since, piece.until, *map(str, (*owner, spectra))]
+        for piece, one in lines
+        for owner, spectra in zip(one.owners, one.spectra, strict=True)
+    ]
+    return hash_content(sorted(named))
 
 
 def read_pieces(arrays: Mapping[str, Any]) -> list[KeptPiece]:

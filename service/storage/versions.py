@@ -174,6 +174,10 @@ class Version:
         covariances = (curve.covariance for curve in self.curves)
         return {one.budget for one in covariances if one is not None and one.budget is not None}
 
+    def serves(self, dipole: str | None) -> bool:
+        """Whether it has a curve for a dipole: a mean has none of dipoles that nobody recorded."""
+        return any(dipole is None or curve.dipole in (dipole, None) for curve in self.curves)
+
     def curve_of(self, dipole: str) -> CalibrationCurve:
         """Find the curve that serves a dipole."""
         return next(curve for curve in self.curves if curve.dipole in (dipole, None))

@@ -233,6 +233,9 @@ class Calibrations:
             asked, answers, held = self._look_around(at, paths, as_of, hold=hold)
         names = (str(promotion.calibration) for promotion in answers.values())
         versions = self.versions.get_many(names, lambda ids: self.database.look(lambda s: s.versions.get_many(ids)))
+        answers = {path: said for path, said in answers.items() if versions[str(said.calibration)].serves(path.dipole)}
+        if not answers:
+            raise NotInEffectError(f"{name_path(*paths[0].parts)}: the mean in effect has no curve of this dipole")
         named = (name for version in versions.values() for name in version.budgets)
         budgets = self.budgets.get_many(named, lambda ids: self.database.look(lambda s: s.budgets.get_texts(ids)))
 

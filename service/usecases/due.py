@@ -13,6 +13,7 @@ longer pauses, because what is due follows from what is stored and not from when
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -23,7 +24,7 @@ import numpy as np
 from lbacal.instants import DAY_US, SECOND_US, format_instant
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import name_path
-from lbacal_core.provenance import hash_content
+from lbacal_core.provenance import canonical_json, hash_content
 from lbacal_core.simulation.simulation import Simulation
 from service.storage.database import Database, Stores
 from service.storage.jobs import Order, Part
@@ -116,14 +117,18 @@ class DueWork:
         return self._add([self._order(WATCH, {}, {"drift": inputs, "report": last})])
 
     def _add(self, orders: list[Order]) -> list[int]:
+        """Enqueue what is due of these; windows that only read what other windows lend wait until that is made."""
         if not orders:
             return []
         with self.database.write() as stores:
-            for order in orders:
+            due = [one for one in orders if stores.jobs.is_due(one, self.clock())]
+            for order in due:
                 if "model" in order.request:
                     part = order.request
                     stores.models.put(stores.models.during(part["station"], part["since"], part["until"]))
-            made = [stores.jobs.add(one, self.clock(), explain_due if one.by == BY else None) for one in orders]
+            first = [one for one in due if not _reads_others(stores.jobs.called_for(one), one.called_for)]
+            due = first if any(one.kind == REFIT for one in first) else due
+            made = [stores.jobs.add(one, self.clock(), explain_due if one.by == BY else None) for one in due]
         return [number for number in made if number is not None]
 
     def _refits(self, stores: Stores, change: ModelChange | None = None) -> Iterator[Order]:
@@ -209,6 +214,11 @@ CALLED_FOR = {
     "instrument": "another instrument", "sky_power": "another sky power", "model_version": "another model version",
 }  # fmt: skip
 CHANGES_NAMED = 3
+
+
+def _reads_others(before: Mapping[str, Any] | None, now: Mapping[str, Any] | None) -> bool:
+    """Whether nothing of due work changed but what other windows lend."""
+    return before is not None and explain_due(before, json.loads(canonical_json(now))) == CALLED_FOR["beside"]
 
 
 def explain_due(before: Mapping[str, Any] | None, now: Mapping[str, Any]) -> str:

@@ -39,7 +39,7 @@ from service.errors import ConflictError
 from service.storage.changes import Cut
 from service.storage.database import Stores
 from service.storage.spectra import Window
-from service.storage.sums import KeptPiece, Sums, Told, read_pieces, write_pieces
+from service.storage.sums import KeptPiece, Sums, Told, name_pieces, read_pieces, write_pieces
 from service.storage.versions import BUDGET, Examined, Version
 from service.usecases.drift import year_of
 from service.usecases.orders import hash_covariates
@@ -223,6 +223,7 @@ class Fits:
         """Look at later events of a kept fit, and at other windows; None where the whole window is to be read."""
         examined, rest, made = list[Examined](), list[Scope](), self.clock()
         names = [None if spectra is None else spectra.digest()]
+        pieces = [one for one in pieces if one.told]
         seen = np.zeros(0 if spectra is None else len(spectra), dtype=bool)
         for piece in pieces:
             rows = seen if spectra is None else _rows_of_piece(piece, spectra)
@@ -526,16 +527,35 @@ def keep_fit(stores: Stores, block: Sums, made: Made, told: Mapping[TellKey, Tol
             replace(one, told=[told[scope, one.since, one.until] for scope in _list_scopes(one.lines)])
             for one in made.pieces
         ]
-        stores.sums.put(replace(block, arrays=write_pieces(pieces)))
+        stores.sums.put(replace(block, arrays=write_pieces(pieces)), name_pieces(pieces))
 
 
-def keep_told(stores: Stores, block: Sums, pieces: Sequence[KeptPiece], told: Mapping[TellKey, Told]) -> None:
-    """Keep the curves that some scopes are served since, with the lines as they are."""
+def keep_told(
+    stores: Stores,
+    block: Sums,
+    pieces: Sequence[KeptPiece],
+    told: Mapping[TellKey, Told],
+    renewed: Sequence[KeptPiece],
+) -> None:
+    """Keep the curves that some scopes are served since, and what their paths lend to other windows since.
+
+    Their lines go on being continued as they were when all was read: events would be added to the new ones twice.
+    """
+    own = {owner for piece in renewed for one in piece.lines for owner in one.owners}
     now = [
-        replace(piece, told=[told.get((one.scope, piece.since, piece.until), one) for one in piece.told])
+        replace(
+            piece,
+            told=[told.get((one.scope, piece.since, piece.until), one) for one in piece.told],
+            lines=[
+                one.lend({owner for owner, is_good in zip(one.owners, one.is_good, strict=True) if is_good} - own)
+                for one in piece.lines
+            ],
+        )
         for piece in pieces
+        if piece.told or not own.intersection(*(one.owners for one in piece.lines))
     ]
-    stores.sums.put(replace(block, arrays=write_pieces(now)))
+    now += renewed
+    stores.sums.put(replace(block, arrays=write_pieces(now)), name_pieces(now))
 
 
 def find_standing(stores: Stores, scopes: Sequence[Scope], since: Instant, until: Instant) -> dict[Scope, str]:

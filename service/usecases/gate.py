@@ -96,6 +96,8 @@ def find_shift(before: Version, after: Version) -> float | None:
     """
     if _without_spectra(before) != _without_spectra(after) or before.window != after.window:
         return None
+    if {curve.dipole for curve in before.curves} != {curve.dipole for curve in after.curves}:
+        return None
     shifts = []
     for curve in after.curves:
         dipole = str(curve.dipole)
@@ -348,6 +350,8 @@ def find_announced(change: ModelChange, scope: Scope, dipole: str) -> tuple[floa
 
 def find_change_of_mean(version: Version, predecessor: Version, dipole: str) -> float | None:
     """Change of the band mean of C through one and the same cable: which antennas were averaged is not a jump."""
+    if not (version.serves(dipole) and predecessor.serves(dipole)):
+        return None
     is_known = dipole in version.chains and dipole in predecessor.chains
     curves = [through_common_cable(v, dipole) if is_known else v.curve_of(dipole) for v in (version, predecessor)]
     now, before = (mean_over_band(curve) for curve in curves)

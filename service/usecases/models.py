@@ -298,10 +298,11 @@ def _announce(before: Sequence[Version], after: Sequence[Version]) -> Iterator[t
         for curve in version.curves:
             dipole, predecessor = str(curve.dipole), old[version.scope]
             fraction = find_change_of_mean(version, predecessor, dipole)
+            if fraction is None:
+                continue
             means = [mean_over_band(one.curve_of(dipole)) for one in (predecessor, version)]
             errors = [sigma / mean for mean, sigma in (one for one in means if one is not None)]
-            if fraction is not None and len(errors) == len(means):
-                yield f"{version.scope.key} {dipole}", Announced(fraction, sum(e**2 for e in errors) ** 0.5)
+            yield f"{version.scope.key} {dipole}", Announced(fraction, sum(e**2 for e in errors) ** 0.5)
 
 
 def _instant(unix: int | None) -> Instant | None:

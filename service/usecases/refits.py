@@ -130,7 +130,8 @@ class Refits:
         # of what other years changed the whole window is fitted, as it was at first: same input, same id
         if found is None or (found.rest and later.spectra is None):
             return False
-        versions = [one for path in found.rest for one in self._fit_path(wanted, path, pieces, neighbours)]
+        made = [self._fit_path(wanted, path, pieces, neighbours) for path in found.rest]
+        versions = [one for of_path in made for one in of_path.versions]
         with self.database.write() as stores:
             stores.ledger.lock()
             if _explain_other_model(stores, part) or not is_still_told(stores, pieces):
@@ -138,15 +139,13 @@ class Refits:
             kept = self._keep(stores, versions, part, {})
             stores.versions.confirm(found.examined)
             if versions:
-                keep_told(stores, later.block, pieces, kept.told)
+                keep_told(stores, later.block, pieces, kept.told, [one for of_path in made for one in of_path.pieces])
             kept.result["examined"] += len(found.examined)
             stores.jobs.complete(part, worker, kept.result, self.clock())
             stores.ledger.append(kept.promotions, self.clock)
         return True
 
-    def _fit_path(
-        self, wanted: Wanted, path: Scope, pieces: Sequence[KeptPiece], neighbours: Neighbours
-    ) -> list[Version]:
+    def _fit_path(self, wanted: Wanted, path: Scope, pieces: Sequence[KeptPiece], neighbours: Neighbours) -> Made:
         """Fit one path from all its spectra, with the budget of the last fit of the whole station."""
         told = next(one for piece in pieces for one in piece.told if one.scope == path)
         of_path = replace(wanted, of=path)
@@ -157,7 +156,7 @@ class Refits:
             name = None if covariance is None else covariance.budget
             budget = None if name is None else parse_budget(stores.budgets.get(name))
         made, _ = self.fits.elsewhere(_fit, spectra, of_path, neighbours, {}, budget)
-        return made.versions
+        return made
 
     def _keep(self, stores: Stores, made: list[Version], part: Part, said: Said) -> _Kept:
         """Store new versions, each with the objection of the gate if promotion was asked for.

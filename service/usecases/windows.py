@@ -53,6 +53,8 @@ ALONE = Neighbours((), {}, {})
 AWAY = "members that are away"
 """Part of the name of a mean that other windows lend their members to: without them the same input gave another C."""
 
+APART = "changed between"
+
 
 def name_beside(
     scope: Scope, curves: Sequence[CalibrationCurve], beside: Sequence[tuple[KeptPiece, Beside]]
@@ -62,9 +64,9 @@ def name_beside(
 
 
 def name_windows(scope: Scope, beside: Sequence[tuple[KeptPiece, Beside]]) -> str:
-    """The hash of the spectra of a scope in other windows."""
+    """The hash of the spectra of a scope in other windows, and of those between which and the own it changed."""
     named = sorted(
-        [one.since, one.until, str(of.lines.spectra[k])]
+        [one.since, one.until, str(of.lines.spectra[k]), *([] if of.is_same[k] else [APART])]
         for one, of in beside
         for k, owner in enumerate(of.lines.owners)
         if of.lines.is_good[k] and scope == scope_of(owner)

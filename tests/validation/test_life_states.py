@@ -55,6 +55,34 @@ def test_a_version_that_was_confirmed_did_not_come_back_when_a_decision_was_undo
         decide(life, 0, decision)
 
 
+def late(life: Life, *months: tuple[int, int]) -> None:
+    """Months that arrive late, each before a night."""
+    for month in months:
+        life.do(f"late {month}", partial(life.add, [month]), is_night=True)
+
+
+def test_a_year_read_what_another_lent_before_that_was_made_anew(life: Life) -> None:
+    """A month of 2014 lends to 2015, and its C comes from there: it was fitted while 2015 waited for its own fit."""
+    life.begin({2015}, set())
+    late(life, (2014, 11))
+    life.enter({1}, "2014-09-20", -0.05, is_night=True)
+
+
+def test_two_fits_of_the_same_spectra_had_one_name_though_a_change_parted_one_from_other_years(life: Life) -> None:
+    life.begin({2016}, {2, 5, 6, 10, 11})
+    late(life, (2015, 6), (2016, 2), (2014, 10), (2015, 11), (2014, 7), (2014, 12))
+
+
+def test_a_path_lent_other_years_its_lines_without_the_month_that_had_moved_its_own_c(life: Life) -> None:
+    life.begin({2016}, {9})
+    late(life, (2015, 11), (2015, 10), (2015, 3), (2015, 8), (2014, 2), (2015, 12))
+
+
+def test_a_mean_has_no_curve_of_a_dipole_whose_antennas_all_left_it(life: Life) -> None:
+    life.begin({2015}, {6})
+    life.enter({1, 2}, "2015-06-20", None, is_night=True)
+
+
 def test_entering_a_change_of_two_antennas_put_one_of_two_that_were_dismissed_in_force(life: Life) -> None:
     life.begin({2014}, set())
     for antenna in (0, 2):

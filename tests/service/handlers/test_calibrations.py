@@ -5,6 +5,7 @@ import hashlib
 import io
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -74,6 +75,19 @@ def test_the_narrowest_scope_in_effect_answers_and_says_so(client: TestClient, s
     assert curve["valid"] == {"from": "2014-03-01T00:00:00Z", "to": "2014-04-01T00:00:00Z"}
     assert curve["held"] is False
     assert [step["scope"] for step in curve["trace"]] == ["antenna"]
+
+
+def test_a_mean_without_a_dipole_does_not_answer_for_it(client: TestClient, stored: Stored, factory: Factory) -> None:
+    (curve,) = (one for one in stored["station"].curves if one.dipole == "X")
+    only_x = replace(stored["station"], curves=(curve,), inputs={**stored["station"].inputs, "spectra": "of X alone"})
+    with factory.database.write() as stores:
+        stores.versions.add([only_x])
+    promote(client, only_x, "2014-01-01")
+    assert ask(client, **PATH).status_code == 200
+    refused = ask(client, **PATH | {"dipole": "Y"})
+    assert refused.status_code == 404
+    assert refused.json()["detail"] == "CS001 antenna 0 Y: the mean in effect has no curve of this dipole"
+    assert len(ask(client, station="CS001").json()["curves"]) == 3
 
 
 def test_a_station_has_all_its_paths_and_no_station_all_paths(client: TestClient, stored: Stored) -> None:
