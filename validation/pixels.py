@@ -1,4 +1,4 @@
-"""P_sky by the plain sum over the pixels of the visible sky, at one LST after the other: the oracle of `modes`."""
+"""P_sky by the plain sum over the pixels of the visible sky, one LST after the other: the oracle of `sky.modes`."""
 
 from __future__ import annotations
 
