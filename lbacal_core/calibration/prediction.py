@@ -30,8 +30,7 @@ from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, guess_widths
 from lbacal_core.instrument.chain import ChainTerms
 from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.instrument.matching import RESISTANCE_OHM
-from lbacal_core.instrument.power_unit import power_per_kelvin_sr
+from lbacal_core.instrument.matching import RESISTANCE_OHM, power_per_kelvin_sr
 from lbacal_core.provenance import as_json
 from lbacal_core.simulation.simulation import Simulation, noise_at_input, noise_of, terms_of
 from lbacal_core.sky.antenna_of import antenna_of

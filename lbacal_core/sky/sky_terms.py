@@ -22,7 +22,7 @@ from lbacal_core.data.prior import read_prior
 from lbacal_core.errors import require_name
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.instrument.power_unit import power_per_kelvin_sr
+from lbacal_core.instrument.matching import power_per_kelvin_sr
 from lbacal_core.linear import root_of
 from lbacal_core.sky.antenna_of import antenna_of
 from lbacal_core.sky.model import DATA_EPOCH, SkyModel, precess_multipoles

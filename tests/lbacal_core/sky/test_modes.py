@@ -9,7 +9,7 @@ from lbacal_core.antenna.lofar import load_hamaker
 from lbacal_core.antenna.model import AntennaModel, directional_response
 from lbacal_core.antenna.varied import VariedAntenna
 from lbacal_core.instrument.instrument import load_instrument
-from lbacal_core.instrument.power_unit import power_per_kelvin_sr
+from lbacal_core.instrument.matching import power_per_kelvin_sr
 from lbacal_core.sky.model import SOURCES, SkyModel, find_sources, local_direction, precess
 from lbacal_core.sky.modes import beam_multipoles, sky_power_at, sky_power_modes
 from lbacal_core.sky.names import load_sky
