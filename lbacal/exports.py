@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import h5py
 import numpy as np
@@ -14,9 +14,7 @@ from lbacal.instants import SECOND_US, parse_instant
 from lbacal_core.curves.galcal import make_head
 from lbacal_core.errors import BadInputError, MissingExtraError
 from lbacal_core.grids import Floats
-
-if TYPE_CHECKING:
-    from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.instrument.instrument import Instrument
 
 JONES = {"X": -5, "Y": -6}
 """AIPS numbers of the gains of linear feeds (AIPS memo 117)."""

@@ -30,6 +30,7 @@ from lbacal.files import written_beside
 from lbacal.instants import format_optional
 from lbacal.selection import Selection, find_spectra_files, parse_selection, read_selected
 from lbacal.with_model import HELP, read_model, report_path
+from lbacal_core.curves.curves import write_fit_report
 from lbacal_core.errors import BadInputError
 
 STEPS_OF_FIT = 2
@@ -68,7 +69,6 @@ def fit(
     from lbacal.analysis.fit import NEXT_STEP
     from lbacal.analysis.fit import fit as fit_spectra
     from lbacal.calibration_files import require_format
-    from lbacal_core.curves.curves import write_fit_report
     from lbacal_core.simulation.simulation import Simulation
 
     selection = parse_selection(since, until, year, station)

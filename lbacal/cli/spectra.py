@@ -14,7 +14,9 @@ from lbacal.cli.options import Dask
 from lbacal.cli.outputs import progress, require_outputs
 from lbacal.engine import Engine, read_address
 from lbacal.files import written_beside
-from lbacal_core.spectra.spectra import Spectra
+from lbacal_core.errors import BadInputError, LbacalError, UnreadableFileError
+from lbacal_core.instrument.instrument import load_instrument
+from lbacal_core.spectra.spectra import Spectra, write_spectra
 
 LOFAR_CORE_LONGITUDE_DEG = 6.87
 """Longitude of the Superterp (van Haarlem et al. 2013) to 0.01 deg (2 s of LST): to print LST and for the cut."""
@@ -58,8 +60,6 @@ def spectra(
     A run that was stopped is simply repeated; S.h5.report.json says for every trace what was left out, and why. Exit 1
     if some traces failed (the others are written).
     """
-    from lbacal_core.errors import BadInputError, UnreadableFileError
-    from lbacal_core.instrument.instrument import load_instrument
     from lbacal_core.traces.assembly import EventFacts, read_event_facts
     from lbacal_core.traces.background import CleaningSettings
     from lbacal_core.traces.trace import find_files, group_traces, require_antenna_set
@@ -99,7 +99,6 @@ def spectra(
 
 def _list_all(files: list[Path], named: set[Path], antenna_set: str | None) -> tuple[list[Any], list[dict[str, str]]]:
     """List the traces of all files; what is wrong with a file found in a folder must not stop the others."""
-    from lbacal_core.errors import LbacalError
     from lbacal_core.traces.trace import list_traces
 
     references: list[Any] = []
@@ -126,8 +125,6 @@ def _reduce(
 ) -> Spectra:
     """Measure all station events, cut the anomalous, write spectra and report."""
     from lbacal.cli.trace_batch import TraceBatch
-    from lbacal_core.errors import LbacalError
-    from lbacal_core.spectra.spectra import write_spectra
     from lbacal_core.traces.assembly import assemble_spectra, find_anomalous_spectra
 
     batch = TraceBatch(work, settings, output.with_name(output.name + ".parts"))
