@@ -19,14 +19,15 @@ import numpy as np
 
 from lbacal import tables
 from lbacal.cache import Cache, Question, Snapshot, find_cache
+from lbacal.files import path_of
 from lbacal.instants import parse_instant
-from lbacal.transport import STUCK_S, TRIES, Transport, UnreachableError
+from lbacal.transport import STUCK_S, TRIES, Transport, UnreachableError, files_of_events
 from lbacal_core.curves.galcal import make_head
 from lbacal_core.errors import BadInputError
+from lbacal_core.spectra.spectra import Spectra, read_spectra
 
 if TYPE_CHECKING:
     from lbacal.curve_table import CurveTable
-    from lbacal_core.spectra.spectra import Spectra
 
 DEFAULT_URL = "http://127.0.0.1:8000"
 _EFFECTIVE = "/v1/calibrations/effective"
@@ -209,10 +210,6 @@ class Client:
         on_event
             Called with the number of events sent and their total.
         """
-        from lbacal.files import path_of
-        from lbacal.transport import files_of_events
-        from lbacal_core.spectra.spectra import Spectra, read_spectra
-
         measured = spectra if isinstance(spectra, Spectra) else read_spectra(path_of("ingest", spectra))
         total, warned = {"received": 0, "stored": 0, "duplicates": 0}, list[str]()
         events, sent = len(np.unique(measured.event_id)), 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import h5py
 import numpy as np
@@ -14,9 +14,7 @@ from lbacal.instants import SECOND_US, parse_instant
 from lbacal_core.curves.galcal import make_head
 from lbacal_core.errors import BadInputError, MissingExtraError
 from lbacal_core.grids import Floats
-
-if TYPE_CHECKING:
-    from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.instrument.instrument import Instrument
 
 JONES = {"X": -5, "Y": -6}
 """AIPS numbers of the gains of linear feeds (AIPS memo 117)."""
@@ -45,7 +43,7 @@ def write_uvcal(content: Mapping[str, Any], instrument: Instrument, path: Path) 
     shape = (len(antennas), frequency_mhz.size, 1, len(letters))
     gain, quality, is_flagged = np.ones(shape, dtype=complex), np.zeros(shape), np.ones(shape, dtype=bool)
     for curve in curves:
-        c, sigma = _values(curve["c"]), _sigma(curve)
+        c, sigma = np.array(curve["c"], dtype=float), _sigma(curve)
         at = (antennas.index(curve["antenna"]), np.flatnonzero(np.isfinite(c)), 0, letters.index(curve["dipole"]))
         gain[at], quality[at], is_flagged[at] = c[at[1]], (sigma / c)[at[1]], False
     there = instrument.at_station(name)
@@ -108,7 +106,7 @@ def write_station_table(content: Mapping[str, Any], path: Path) -> None:
     if not {curve["dipole"] for curve in curves} <= JONES.keys():
         raise BadInputError("dipole", "X and Y for a station table", ", ".join({str(c["dipole"]) for c in curves}))
     at = _require_at(content)
-    unit = float(np.nanmean([np.nanmean(_values(curve["c"])) for curve in curves]))
+    unit = float(np.nanmean([np.nanmean(np.array(curve["c"], dtype=float)) for curve in curves]))
     subband_mhz = SUBBAND_MHZ * np.arange(SUBBANDS)
     with h5py.File(path, "w") as root:
         root.attrs.update({
@@ -117,7 +115,7 @@ def write_station_table(content: Mapping[str, Any], path: Path) -> None:
             "lbacal_unit_v": unit, "lbacal_calibrations": sorted({curve["calibration"] or "" for curve in curves}),
         })  # fmt: skip
         for curve in curves:
-            c, frequency = _values(curve["c"]), np.array(curve["frequency_mhz"])
+            c, frequency = np.array(curve["c"], dtype=float), np.array(curve["frequency_mhz"])
             known = np.isfinite(c)
             inside = np.interp(subband_mhz, frequency, known.astype(float), 0.0, 0.0) == 1.0
             value = np.where(inside, np.interp(subband_mhz, frequency[known], c[known]) / unit, 1.0)
@@ -137,14 +135,12 @@ def _of_one_station(content: Mapping[str, Any]) -> tuple[list[dict[str, Any]], s
     return curves, str(names[0])
 
 
-def _values(numbers: list[float | None]) -> Floats:
-    return np.array([np.nan if value is None else value for value in numbers])
-
-
 def _sigma(curve: Mapping[str, Any]) -> Floats:
     """Total standard deviation of C, shape (freq,)."""
     system = curve["c_sigma_sys"]
-    return np.asarray(np.hypot(_values(curve["c_sigma_stat"]), 0.0 if system is None else _values(system)))
+    return np.asarray(
+        np.hypot(np.array(curve["c_sigma_stat"], dtype=float), 0.0 if system is None else np.array(system, dtype=float))
+    )
 
 
 def _interval_jd(content: Mapping[str, Any], curves: list[dict[str, Any]]) -> tuple[float, float]:

@@ -211,7 +211,7 @@ def mean_curve(answer: dict[str, Any]) -> dict[str, Any]:
     first = curves[0]
     if any(curve["frequency_mhz"] != first["frequency_mhz"] for curve in curves):
         raise BadInputError("frequency_mhz", "the same channels in every curve", "others")
-    c = np.array([[np.nan if value is None else value for value in curve["c"]] for curve in curves])
+    c = np.array([curve["c"] for curve in curves], dtype=float)
     known = np.isfinite(c).all(axis=0)
     mean = np.mean(np.where(known, c, 1.0) ** -2.0, axis=0) ** -0.5
     stations = {curve["station"] for curve in curves}

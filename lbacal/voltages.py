@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lbacal_core.curves.covariance import Budget, parse_budget, parse_covariance
+from lbacal_core.curves.curves import CONVERGED, CalibrationCurve
 from lbacal_core.curves.galcal import name_path
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
@@ -13,8 +15,6 @@ from lbacal_core.grids import Floats
 if TYPE_CHECKING:
     from astropy.table import QTable
 
-    from lbacal_core.curves.covariance import Budget
-    from lbacal_core.curves.curves import CalibrationCurve
     from lbacal_core.traces.voltage import CalibratedTrace
 
 
@@ -38,17 +38,12 @@ def calibrate_trace(samples: Floats, sample_rate_mhz: float, effective: QTable) 
 
 def budget_of(effective: QTable, curve: CalibrationCurve) -> Budget | None:
     """The systematic terms that the curve's covariance names, from the meta of its table."""
-    from lbacal_core.curves.covariance import parse_budget
-
     named = None if curve.covariance is None else effective.meta.get("budgets", {}).get(curve.covariance.budget)
     return None if named is None else parse_budget(named)
 
 
 def curve_of(effective: QTable) -> CalibrationCurve:
     """The curve in the rows of one path."""
-    from lbacal_core.curves.covariance import parse_covariance
-    from lbacal_core.curves.curves import CONVERGED, CalibrationCurve
-
     if not hasattr(effective, "colnames"):
         expected = 'the table of lbacal.effective, or one curve of a fit such as found["CS002", 17, "X"]'
         raise BadInputError("effective", expected, type(effective).__name__)

@@ -7,7 +7,7 @@ import json
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from importlib.metadata import version
 from typing import Any, Generic, TypeVar
 
@@ -22,6 +22,24 @@ DRIFT_VERSION = 2
 def canonical_json(content: object) -> str:
     """Write content as the one JSON text that is hashed: keys sorted, no spaces, no NaN."""
     return json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
+
+
+def as_json(value: Any) -> Any:
+    """A value as JSON values: what its `as_dict` says, else its fields by name; arrays as lists, null for no number."""
+    if hasattr(value, "as_dict"):
+        return value.as_dict()
+    if isinstance(value, np.ndarray):
+        return np.where(np.isfinite(value), value, np.array(None)).tolist()
+    if is_dataclass(value):
+        return {one.name: as_json(getattr(value, one.name)) for one in fields(value)}
+    if isinstance(value, Mapping):
+        return {name: as_json(one) for name, one in value.items()}
+    return [as_json(one) for one in value] if isinstance(value, tuple | list) else value
+
+
+def with_arrays(content: Mapping[str, Any]) -> dict[str, Any]:
+    """JSON values of which lists are numbers, as arrays; null is NaN."""
+    return {name: np.array(one, dtype=float) if isinstance(one, list) else one for name, one in content.items()}
 
 
 def hash_content(content: object) -> str:

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.constants import speed_of_light
 
-from lbacal_core.antenna.unfolding import effective_area
 from lbacal_core.data.constants import IMPEDANCE_OF_FREE_SPACE as Z_0
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_same_grid
@@ -114,6 +113,14 @@ class SourceCalibration:
 def field_at(table: SourceTable, geometry: Geometry) -> Floats:
     """The field at the antenna, shape (freq,), V/m/MHz^1/2: E r is constant in free space."""
     return np.asarray(table.field * table.distance_m / geometry.distance_m * geometry.source_response)
+
+
+def effective_area(height_squared: Floats, resistance_ohm: float) -> Floats:
+    """A_e = |H|^2 Z_0 / R_r (eq. AtoH), m^2, with H the height that gives the voltage at the load.
+
+    An open-circuit height is twice that at a matched load, and then the same area reads |H|^2 Z_0 / (4 R_r).
+    """
+    return np.asarray(height_squared * Z_0 / resistance_ohm)
 
 
 def expected_power(field: Floats, antenna_gain: Floats, antenna_response: float = 1.0) -> Floats:

@@ -24,7 +24,7 @@ from lbacal_core.sky.differences import FULL_MAPS, ZENITH_GAIN, model_difference
 from lbacal_core.sky.model import SkyModel
 from lbacal_core.sky.names import DEFAULT_SKY, list_skies, load_sky
 from lbacal_core.sky.power import compute_sky_power, vary_sky_power
-from lbacal_core.sky.table import SkyPower
+from lbacal_core.sky.table import SkyPower, harmonics_at
 from lbacal_core.spectra.blocks import split_into_blocks
 from lbacal_core.traces.trace import BLOCK_SAMPLES
 from lbacal_paper.budget import EDGE_MHZ, TIED, Budget, has_every_channel, spread_with_cables
@@ -430,14 +430,9 @@ def _swing(study: Study) -> Result:
 def smooth_swing(curve: lst_curve.LstCurve, dipole: str, harmonics: int = 4) -> float:
     """Largest minus smallest value of the Fourier series through the measured points, dB."""
     has_point = curve.has_point(dipole)
-    basis = [_harmonics(hours, harmonics) for hours in (curve.lst_hours[has_point], FULL_DAY)]
+    basis = [harmonics_at(hours, harmonics) for hours in (curve.lst_hours[has_point], FULL_DAY)]
     fitted = np.linalg.lstsq(basis[0], curve.variation_db[dipole][has_point], rcond=None)[0]
     return float(np.ptp(basis[1] @ fitted))
-
-
-def _harmonics(hours: Floats, harmonics: int) -> Floats:
-    angle = 2 * np.pi / 24.0 * np.outer(hours, np.arange(1, harmonics + 1))
-    return np.concatenate([np.ones((hours.size, 1)), np.cos(angle), np.sin(angle)], axis=1)
 
 
 def find_noise_share(

@@ -25,8 +25,8 @@ from lbacal_core.provenance import Provenance
 from lbacal_core.sky.table import read_sky_power
 from lbacal_core.spectra import spectra
 from lbacal_core.traces.assembly import COVARIATES, read_event_facts
-from service.cli.reference import describe_causes, describe_commands, describe_settings
 from service.wire import answers as formats
+from validation.reference import describe_causes, describe_commands, describe_settings
 
 LINK = re.compile(r"(?<!\\)\]\(([^)\s]+)\)")
 CALIBRATION_FILE = "The calibration file: galcal-1"

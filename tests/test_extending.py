@@ -21,7 +21,7 @@ from lbacal_core.sky.power import compute_sky_power
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.hardware import GainTemperature
 from lbacal_twin.settings import TwinSettings
-from service.cli.reference import describe_causes
+from validation.reference import describe_causes
 
 chain = load_instrument("lofar-superterp")
 sky = compute_sky_power(chain)

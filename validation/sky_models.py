@@ -24,13 +24,13 @@ from lbacal_core.lstcurve.curve import (
     measured_curve,
     read_lst_curve,
 )
-from lbacal_core.sky.direct import sum_over_pixels
 from lbacal_core.sky.modes import sky_power_at, sky_power_modes
 from lbacal_core.sky.names import load_sky
 from lbacal_core.sky.power import compute_sky_power
 from lbacal_core.sky.table import SkyPower
 from validation.machinery.claims import Found, exactly, worst_of
 from validation.machinery.parts import SHARED, Part, Row
+from validation.pixels import sum_over_pixels
 
 DATA = SHARED / "data"
 MAPS = (DATA / "sky/gsm-408locked.npz", DATA / "sky/lfsm-5.1deg.npz")

@@ -18,8 +18,7 @@ from lbacal.engine import Engine
 from lbacal.pages.chart import Chart
 from lbacal.pages.curve import draw_change, draw_curve, draw_curve_page, draw_ranking
 from lbacal.pages.finding import draw_finding, draw_scores, tell_rivals
-from lbacal.pages.investigation import draw_page
-from lbacal.pages.report import list_origin
+from lbacal.pages.report import draw_investigation, list_origin
 from lbacal.units import convert_band
 from lbacal.with_model import Extended, read_model
 from lbacal_core.audit.audit import audit_quickly
@@ -149,7 +148,7 @@ def investigate(
     content["provenance"]["notes"]["audit"] = audited.sentence
 
     origin = list_origin(measured.origin, simulation, measured.time_unix, content["provenance"])
-    page = partial(draw_page, content, origin)
+    page = partial(draw_investigation, content, origin)
     figures = Figures(
         lambda: map(draw_scores, content["scores"].values()), page, lambda one: draw_finding(one).values()
     )

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 from lbacal.files import path_of, written_beside
 from lbacal.pages.chart import Chart, plot_charts
-from lbacal.pages.tables import align
 from lbacal.tables import escape_texts
 from lbacal_core.errors import BadInputError
 
@@ -148,3 +147,18 @@ class Result:
 
 def _write_json(content: Callable[[], Mapping[str, Any]], path: Path) -> None:
     path.write_text(json.dumps(content(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def align(rows: Sequence[Sequence[str]], words: int = 1) -> list[str]:
+    """The rows as lines of equal columns, words flush left and numbers flush right.
+
+    Parameters
+    ----------
+    words
+        How many columns are words, from the first on.
+    """
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    cells = (
+        [cell.ljust(widths[k]) if k < words else cell.rjust(widths[k]) for k, cell in enumerate(row)] for row in rows
+    )
+    return ["  ".join(line).rstrip() for line in cells]

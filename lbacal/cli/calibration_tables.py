@@ -12,7 +12,10 @@ from lbacal.cli.client import Antenna, Dipole, Station
 from lbacal.cli.options import Json
 from lbacal.cli.outputs import require_outputs, show
 from lbacal.files import written_beside
+from lbacal.tables import mean_curve
+from lbacal_core.curves.galcal import find_problems, name_path
 from lbacal_core.errors import BadInputError, offer_name
+from lbacal_core.instrument.instrument import load_instrument
 
 File = Annotated[Path, typer.Argument(help="Calibration file: .ecsv, .fits, .h5 or .json.")]
 
@@ -33,7 +36,6 @@ def check_table(
     Exit 0 if all files agree, 1 if one does not, 2 if one cannot be read.
     """
     from lbacal.calibration_files import read_calibrations
-    from lbacal_core.curves.galcal import find_problems
 
     found: list[dict[str, Any]] = []
     for path in files:
@@ -70,9 +72,6 @@ def export(
     """
     from lbacal.calibration_files import FORMATS, read_calibrations, write_calibrations
     from lbacal.exports import write_station_table, write_uvcal
-    from lbacal.tables import mean_curve
-    from lbacal_core.curves.galcal import name_path
-    from lbacal_core.instrument.instrument import load_instrument
 
     by_suffix = FORMATS | OF_OTHER_PROGRAMS
     chosen = kind or by_suffix.get(output.suffix.lower())

@@ -1,4 +1,4 @@
-"""The command `lbacal`: one subcommand a file, gathered here; failures become one sentence and an exit code.
+"""The command `lbacal`: gathered from the files beside it; failures become one sentence and an exit code.
 
 The wheels `lbacal-server` and `lbacal-paper` bring commands of their own and name the module of these as an entry
 point. Where a wheel or an extra is not installed, its commands say so before they do anything.
@@ -16,20 +16,14 @@ from typing import Annotated, Any
 import typer
 import typer.core
 
-from lbacal.cli.audit import audit
-from lbacal.cli.budget import budget
+from lbacal.cli.analysis import audit, budget, fit, investigate, lst_curve, predict
 from lbacal.cli.calibration_tables import check_table, export
 from lbacal.cli.causes import causes
 from lbacal.cli.client import effective, ingest, jobs, refit, sync
-from lbacal.cli.fit import fit
-from lbacal.cli.import_ import import_
-from lbacal.cli.investigate import investigate
 from lbacal.cli.ledger import abandon, adopt, alarms, models, promote, rollback, status, tag, withdraw
 from lbacal.cli.life import changes, life
-from lbacal.cli.lst_curve import lst_curve
-from lbacal.cli.predict import predict
 from lbacal.cli.sky_power import antenna_gain, sky_power
-from lbacal.cli.spectra import spectra
+from lbacal.cli.spectra import import_, spectra
 from lbacal.settings import require_known_settings
 from lbacal_core.errors import BadInputError, LbacalError, MissingExtraError, UnknownNameError, UnreadableFileError
 

@@ -11,6 +11,9 @@ import typer
 from lbacal.cli.options import InstrumentName
 from lbacal.cli.outputs import require_outputs
 from lbacal.files import written_beside
+from lbacal_core.errors import BadInputError
+from lbacal_core.foreign import read_json
+from lbacal_core.instrument.instrument import load_instrument, parse_instrument
 
 
 def sky_power(
@@ -32,7 +35,6 @@ def sky_power(
 
     Example: lbacal sky-power --instrument lofar-superterp --output P.json
     """
-    from lbacal_core.instrument.instrument import load_instrument
     from lbacal_core.sky.antenna_of import antenna_of
     from lbacal_core.sky.model import find_sources
     from lbacal_core.sky.names import default_sky, load_sky
@@ -77,9 +79,6 @@ def antenna_gain(
     Example: lbacal antenna-gain --instrument I.json --antenna lba.npz --source "NEC, our model" --output I2.json
     """
     from lbacal_core.antenna.names import take_antenna_gain
-    from lbacal_core.errors import BadInputError
-    from lbacal_core.foreign import read_json
-    from lbacal_core.instrument.instrument import parse_instrument
 
     require_outputs({"--output": output}, {"--instrument": instrument, "--antenna": antenna})
     content = read_json(instrument)

@@ -1,4 +1,4 @@
-"""`lbacal spectra`: raw antenna traces to background spectra."""
+"""`lbacal spectra` and `lbacal import`: raw antenna traces, and data in other formats, to background spectra."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ from lbacal.cli.options import Dask
 from lbacal.cli.outputs import progress, require_outputs
 from lbacal.engine import Engine, read_address
 from lbacal.files import written_beside
-from lbacal_core.spectra.spectra import Spectra
+from lbacal_core.errors import BadInputError, LbacalError, UnreadableFileError
+from lbacal_core.instrument.instrument import load_instrument
+from lbacal_core.spectra.spectra import Spectra, write_spectra
 
 LOFAR_CORE_LONGITUDE_DEG = 6.87
 """Longitude of the Superterp (van Haarlem et al. 2013) to 0.01 deg (2 s of LST): to print LST and for the cut."""
@@ -58,8 +60,6 @@ def spectra(
     A run that was stopped is simply repeated; S.h5.report.json says for every trace what was left out, and why. Exit 1
     if some traces failed (the others are written).
     """
-    from lbacal_core.errors import BadInputError, UnreadableFileError
-    from lbacal_core.instrument.instrument import load_instrument
     from lbacal_core.traces.assembly import EventFacts, read_event_facts
     from lbacal_core.traces.background import CleaningSettings
     from lbacal_core.traces.trace import find_files, group_traces, require_antenna_set
@@ -99,7 +99,6 @@ def spectra(
 
 def _list_all(files: list[Path], named: set[Path], antenna_set: str | None) -> tuple[list[Any], list[dict[str, str]]]:
     """List the traces of all files; what is wrong with a file found in a folder must not stop the others."""
-    from lbacal_core.errors import LbacalError
     from lbacal_core.traces.trace import list_traces
 
     references: list[Any] = []
@@ -126,8 +125,6 @@ def _reduce(
 ) -> Spectra:
     """Measure all station events, cut the anomalous, write spectra and report."""
     from lbacal.cli.trace_batch import TraceBatch
-    from lbacal_core.errors import LbacalError
-    from lbacal_core.spectra.spectra import write_spectra
     from lbacal_core.traces.assembly import assemble_spectra, find_anomalous_spectra
 
     batch = TraceBatch(work, settings, output.with_name(output.name + ".parts"))
@@ -190,3 +187,42 @@ def _draw(item: Any, settings: Any, path: Path) -> None:
     with written_beside(path) as beside:
         draw_inspection(read_trace(event.references[0]), background, settings).savefig(beside, dpi=110)
     print(f"wrote {path}: {event.event_id} {background.reference.name}")
+
+
+# `lbacal import`: data in other formats to background spectra.
+
+
+def import_(
+    source: Annotated[
+        Path,
+        typer.Argument(help="File or folder: .uvh5, .uvfits, .ms, SST of LOFAR, NenuFAR, SKA-Low's .hdf5, .csv, .npz."),
+    ],
+    output: Annotated[Path, typer.Option(help="Spectra file to write (HDF5).")],
+    average: Annotated[
+        float | None, typer.Option(help="Seconds that one spectrum averages (900 of what has no event_id).")
+    ] = None,
+    events: Annotated[
+        bool, typer.Option("--events", help="Every integration is an event of its own: one spectrum each.")
+    ] = False,
+    instrument: Annotated[
+        str | None, typer.Option(help="Instrument (name or JSON file) whose channels to average to.")
+    ] = None,
+    channel_mhz: Annotated[float | None, typer.Option(help="Width of the channels to average to, MHz.")] = None,
+    band: Annotated[
+        tuple[float, float] | None, typer.Option(help="Lowest and highest channel, MHz.", metavar="LO HI")
+    ] = None,
+    station: Annotated[str | None, typer.Option(help="Name of the station where the data have none.")] = None,
+) -> None:
+    """Average autocorrelations or station statistics to background spectra, whatever the length of the data.
+
+    Example: lbacal import zen.autos.uvh5 --output S.h5 --average 60 --channel-mhz 1 --band 50 200
+
+    Flagged samples count nowhere; quality flags of integrations stay with their spectra.
+    """
+    from lbacal.analysis.data import import_data
+
+    require_outputs({"--output": output}, {"SOURCE": source, "--instrument": instrument})
+    with progress() as tell:
+        spectra = import_data(source, average, instrument, channel_mhz, band, station, events=events, tell=tell)
+    spectra.save(output, ".h5")
+    print("\n".join([*spectra.notes[:-1], f"wrote {output}: {spectra.notes[-1]}"]))

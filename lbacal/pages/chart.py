@@ -155,12 +155,13 @@ def _draw_series(axes: Any, one: Series, *, is_time: bool) -> None:
     x = (x * 1e6).astype("datetime64[us]") if is_time else x
     look: dict[str, Any] = {"color": COLOURS[one.colour], "label": one.name or None}
     if one.kind == BAND:
-        axes.fill_between(x, _numbers(one.low), _numbers(one.high), alpha=0.25, lw=0, **look)
+        axes.fill_between(x, np.array(one.low, dtype=float), np.array(one.high, dtype=float), alpha=0.25, lw=0, **look)
     elif one.kind == LINE:
-        axes.plot(x, _numbers(one.y), STYLES[one.style], lw=1.4, **look)
+        axes.plot(x, np.array(one.y, dtype=float), STYLES[one.style], lw=1.4, **look)
     elif one.kind == POINTS:
-        y = _numbers(one.y)
-        error = None if one.low is None else np.abs([y - _numbers(one.low), _numbers(one.high) - y])
+        y = np.array(one.y, dtype=float)
+        ends = None if one.low is None else np.array([one.low, one.high], dtype=float)
+        error = None if ends is None else np.abs(ends - y)
         axes.errorbar(x, y, error, fmt="o", ms=3, lw=0.9, **look)
     elif one.kind == BARS:
         axes.barh(np.asarray(one.y, dtype=float), x, **look)
@@ -175,7 +176,3 @@ def _draw_series(axes: Any, one: Series, *, is_time: bool) -> None:
             vmin=-one.limit, vmax=one.limit, interpolation="nearest",
         )  # fmt: skip
         axes.figure.colorbar(shown, ax=axes, label=one.name)
-
-
-def _numbers(values: Any) -> Floats:
-    return np.array([np.nan if value is None else value for value in values], dtype=float)

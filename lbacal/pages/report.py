@@ -47,3 +47,9 @@ def list_origin(
     rows |= {f"sha256 of {name}": digest for name, digest in stated.get("inputs", {}).items()}
     rows |= {name: str(stated[name]) for name in ("model_version",) if name in stated}
     return [*rows.items(), ("lbacal", str(stated.get("lbacal", version("lbacal"))))]
+
+
+def draw_investigation(content: Mapping[str, Any], origin: Origin = ()) -> str:
+    """The report of `lbacal_core.discovery.report.investigate` as a page."""
+    made_from = origin or list_origin("spectra", provenance=content["provenance"])
+    return fill_report("investigation.html", report=content, made_from=made_from, source=dict(made_from)["file"])

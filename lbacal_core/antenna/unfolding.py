@@ -14,20 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.antenna.model import AntennaModel, Complexes, zenith_gain
-from lbacal_core.data.constants import IMPEDANCE_OF_FREE_SPACE
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.linear import pseudo_invert
 
-# Effective height and area (the paper's appendix on antenna theory), on the scale of the G_ant of an instrument.
-
-
-def effective_area(height_squared: Floats, resistance_ohm: float) -> Floats:
-    """A_e = |H|^2 Z_0 / R_r (eq. AtoH), m^2, with H the height that gives the voltage at the load.
-
-    An open-circuit height is twice that at a matched load, and then the same area reads |H|^2 Z_0 / (4 R_r).
-    """
-    return np.asarray(height_squared * IMPEDANCE_OF_FREE_SPACE / resistance_ohm)
+# Effective height (the paper's appendix on antenna theory), on the scale of the G_ant of an instrument.
 
 
 def effective_heights(

@@ -11,9 +11,9 @@ from scipy.special import ndtri
 
 from lbacal_core.audit.station import SKY_HOURS, AuditedStation, as_power, spread
 from lbacal_core.audit.verdict import UNDECIDED, WRONG, Line
-from lbacal_core.calibration.lines import harmonics_at
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.sky.table import harmonics_at
 
 # Paths that do not receive as the others of their station do: dead, deaf, oscillating, clipped, outlying.
 #

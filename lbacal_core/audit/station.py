@@ -202,8 +202,6 @@ class Series:
 
     Attributes
     ----------
-    frequency_mhz
-        Mean frequency of each band, shape (band,).
     lst_hours
         Shape (time,), by the clock and place on record.
     power
@@ -212,7 +210,6 @@ class Series:
         Standard deviation by the scatter of the antennas, same shape.
     """
 
-    frequency_mhz: Floats
     lst_hours: Floats
     power: Floats
     noise: Floats
@@ -246,7 +243,7 @@ def make_series(station: AuditedStation, rows: NDArray[np.int64]) -> Series:
     mean = np.nanmean(seen, axis=-1, keepdims=True)
     is_whole = np.all(np.isfinite(seen), axis=(0, 1))
     seen, noise = (seen / mean)[..., is_whole], (noise / mean)[..., is_whole]
-    return Series(mean_frequencies(station.frequency_mhz), lst[is_whole], seen, noise)
+    return Series(lst[is_whole], seen, noise)
 
 
 def _scatter_of_instants(seen: Floats) -> Floats:

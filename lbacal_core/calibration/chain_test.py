@@ -26,12 +26,13 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from lbacal_core.calibration.lines import Lines, Look, PathLines, harmonics_at, look_beside, move_lines, move_lines_by
+from lbacal_core.calibration.lines import Lines, Look, PathLines, look_beside, move_lines, move_lines_by
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.chain import Intercepts
 from lbacal_core.linear import find_whitener, invert_symmetric, solve_symmetric
 from lbacal_core.simulation.prior import SKY_HARMONICS, Mistake, SkyPrior
+from lbacal_core.sky.table import harmonics_at
 
 # Mistakes that users have made, as changes of P_sky: the data say whether one describes them better.
 #

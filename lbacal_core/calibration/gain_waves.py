@@ -23,19 +23,12 @@ import numpy as np
 from scipy.special import logsumexp
 
 from lbacal_core.calibration.chain_test import LARGEST_GAIN, FittedPaths
-from lbacal_core.calibration.lines import (
-    ROUNDING,
-    ChainForms,
-    PathLines,
-    fit_lines,
-    harmonics_at,
-    move_lines,
-    move_lines_by,
-)
+from lbacal_core.calibration.lines import ROUNDING, ChainForms, PathLines, fit_lines, move_lines, move_lines_by
 from lbacal_core.data.prior import read_prior
 from lbacal_core.grids import Floats
 from lbacal_core.linear import solve_symmetric
 from lbacal_core.simulation.prior import SKY_HARMONICS
+from lbacal_core.sky.table import harmonics_at
 
 GAIN_WAVES = "gains along LST"
 """Under this name the notes of a report hold them."""

@@ -571,9 +571,3 @@ def _solve_lines(path: PathLines, gradient: Sequence[Floats]) -> Floats:
     """The step of the lines by the gradient along slopes and intercepts, shape (change, freq) each."""
     target = np.concatenate(gradient, axis=1).T
     return solve_symmetric(path.information, target).T
-
-
-def harmonics_at(lst_hours: Floats, most: int) -> Floats:
-    """1, then cosines, then sines, of the sidereal day, shape (event, 1 + 2 most)."""
-    angle = 2.0 * np.pi / 24.0 * np.outer(lst_hours, np.arange(1, most + 1))
-    return np.concatenate([np.ones((angle.shape[0], 1)), np.cos(angle), np.sin(angle)], axis=1)

@@ -30,8 +30,8 @@ from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, guess_widths
 from lbacal_core.instrument.chain import ChainTerms
 from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.instrument.matching import RESISTANCE_OHM
-from lbacal_core.instrument.power_unit import power_per_kelvin_sr
+from lbacal_core.instrument.matching import RESISTANCE_OHM, power_per_kelvin_sr
+from lbacal_core.provenance import as_json
 from lbacal_core.simulation.simulation import Simulation, noise_at_input, noise_of, terms_of
 from lbacal_core.sky.antenna_of import antenna_of
 from lbacal_core.sky.sources import point_source_power, response_towards
@@ -145,10 +145,6 @@ class EventNoise:
     def covariance(self) -> Floats:
         """Relative covariance, shape (freq, freq)."""
         return np.asarray(self.shared.T @ self.shared + np.diag(self.own))
-
-    def as_dict(self) -> dict[str, Any]:
-        """Describe the noise as JSON values."""
-        return {"shared": self.shared.tolist(), "own": self.own.tolist(), "common": self.common, "source": self.source}
 
     def draw(self, count: int, rng: np.random.Generator, of_station: Floats | None = None) -> Floats:
         """Factors of mean 1 on the expected power of single events, shape (event, freq).
@@ -275,7 +271,7 @@ class Prediction:
             "adc": self.describe_adc() if self.is_calibrated else None,
             "sefd_jy": self.sefd_jy.tolist(),
             "sefd_sigma": (self.sefd_jy * self.sefd_error).tolist(),
-            "noise": self.noise.as_dict(),
+            "noise": as_json(self.noise),
             "notes": [*self.notes, NOT_SHARED],
         }
 

@@ -278,7 +278,8 @@ def _rank(conditions: Conditions) -> Floats:
     return np.asarray(np.argsort(np.argsort(conditions.time_unix, kind="stable"), kind="stable"))
 
 
-def _instant(at_unix: float) -> str:
+def write_instant(at_unix: float) -> str:
+    """An instant, s UTC, to the second as ISO 8601."""
     return f"{datetime.fromtimestamp(at_unix, UTC):%Y-%m-%dT%H:%M:%SZ}"
 
 
@@ -291,7 +292,7 @@ COURSES: dict[str, Kind] = {
     "always": Kind(lambda c: np.ones(c.time_unix.size), _once, "at all times", "1"),
     "step": Kind(
         lambda c, at: c.after(_unix(at))[:, 0],
-        lambda c: [(_instant(at),) for at in c.step_dates(40)] if c.has_dates else [],
+        lambda c: [(write_instant(at),) for at in c.step_dates(40)] if c.has_dates else [],
         "from {0} on",
         "step(t - {0})",
         gates=True,
@@ -299,7 +300,7 @@ COURSES: dict[str, Kind] = {
     "between": Kind(
         lambda c, begin, days: c.after(_unix(begin))[:, 0] - c.after(_unix(begin) + days * DAY_S)[:, 0],
         lambda c: (
-            [(_instant(at), days) for days in (10.0, 20.0, 40.0, 90.0) for at in c.step_dates(36)]
+            [(write_instant(at), days) for days in (10.0, 20.0, 40.0, 90.0) for at in c.step_dates(36)]
             if c.has_dates
             else []
         ),
@@ -310,7 +311,7 @@ COURSES: dict[str, Kind] = {
     ),
     "ramp": Kind(
         lambda c, middle: (c.time_unix - _unix(middle)) / YEAR_S,
-        lambda c: [(_instant(c.time_unix.mean()),)] if c.has_dates else [],
+        lambda c: [(write_instant(c.time_unix.mean()),)] if c.has_dates else [],
         "rising with time (size per year)",
         "(t - {0}) / yr",
     ),
@@ -478,7 +479,7 @@ def finer(kinds: Mapping[str, Kind], form: Form, conditions: Conditions) -> list
         return [*((PRODUCT, same, other) for same in first), *((PRODUCT, one, same) for same in second[1:])]
     moved: list[Form] = []
     if form[0] in ("step", "between"):
-        moved += [(form[0], _instant(at), *form[2:]) for at in conditions.dates_about(_unix(form[1]))]
+        moved += [(form[0], write_instant(at), *form[2:]) for at in conditions.dates_about(_unix(form[1]))]
     moved += [(*form[:2], level) for level in _levels(conditions, form)]
     unit = _span(conditions) if form[0] in IN_MHZ else 1.0
     for k, step in enumerate(kinds[form[0]].steps, start=1):

@@ -19,7 +19,7 @@ import numpy as np
 from lbacal_core.causes.axes import ResidualTerm
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import Cause, Template
-from lbacal_core.causes.grammar import Sentence, is_of_dates, require_sentence
+from lbacal_core.causes.grammar import Sentence, is_of_dates, require_sentence, write_instant
 from lbacal_core.errors import BadInputError
 from lbacal_core.provenance import canonical_json, hash_content
 
@@ -92,7 +92,7 @@ class AdoptedCause:
         rounded = {name: _plain(f"{place}: {name}", name, value) for name, value in kept.items()}
         object.__setattr__(self, "parameters", rounded)
         if self.since_unix is not None and self.until_unix is not None and self.until_unix <= self.since_unix:
-            raise BadInputError(f"{place}: until", "an instant after since", _instant(self.until_unix))
+            raise BadInputError(f"{place}: until", "an instant after since", write_instant(self.until_unix))
 
     @property
     def in_catalogue(self) -> Cause:
@@ -104,7 +104,9 @@ class AdoptedCause:
         """What is adopted, in one sentence."""
         whom = f"station {self.station}" + ("" if self.target == "station" else f", {self.target}")
         size = f"{self.size:.3g} ± {self.sigma:.2g} ({self.in_catalogue.unit})"
-        ends = [f"{word} {_instant(at)}" for word, at in (("from", self.since_unix), ("until", self.until_unix)) if at]
+        ends = [
+            f"{word} {write_instant(at)}" for word, at in (("from", self.since_unix), ("until", self.until_unix)) if at
+        ]
         kept = "" if self.is_free else ", size not fitted again"
         what = self.in_catalogue.say(Template(self.parameters))
         return f"In {whom}, {what}: {size}{''.join(f', {one}' for one in ends)}{kept}."
@@ -118,7 +120,7 @@ class AdoptedCause:
         """The content of its text."""
         named = {IN_WORDS if name == INSTANT else name: value for name, value in self.parameters.items()}
         if INSTANT in self.parameters:
-            named[IN_WORDS] = _instant(self.parameters[INSTANT])
+            named[IN_WORDS] = write_instant(self.parameters[INSTANT])
         return {
             "cause": self.cause,
             "station": self.station,
@@ -127,8 +129,8 @@ class AdoptedCause:
             "size": self.size,
             "sigma": self.sigma,
             "size_is": "free" if self.is_free else "fixed",
-            "since": None if self.since_unix is None else _instant(self.since_unix),
-            "until": None if self.until_unix is None else _instant(self.until_unix),
+            "since": None if self.since_unix is None else write_instant(self.since_unix),
+            "until": None if self.until_unix is None else write_instant(self.until_unix),
         }
 
 
@@ -236,7 +238,7 @@ class Model:
         """Refuse causes along the date: C changes with them, and a fit gives one C for the whole window."""
         for one in self.causes:
             if follows_date(one.cause, one.parameters):
-                at = f" on {_instant(one.parameters[INSTANT])[:10]}" if INSTANT in one.parameters else ""
+                at = f" on {write_instant(one.parameters[INSTANT])[:10]}" if INSTANT in one.parameters else ""
                 expected = (
                     "a cause that does not follow the date: with one that does, one C would stand for a time in which "
                     "C changes; it is a change: put it in force by `lbacal changes` or by `since` of the antenna in "
@@ -327,10 +329,6 @@ def _plain(place: str, name: str, value: object) -> Any:
         return [_plain(place, "", one) for one in value]
     number = _rounded(place, value)
     return int(number) if number.is_integer() else number
-
-
-def _instant(at_unix: float) -> str:
-    return f"{datetime.fromtimestamp(at_unix, UTC):%Y-%m-%dT%H:%M:%SZ}"
 
 
 def _parse_instant(text: str) -> int:

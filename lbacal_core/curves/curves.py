@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import MISSING, dataclass, field, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from lbacal_core.curves.covariance import Budget, CurveCovariance, parse_covaria
 from lbacal_core.curves.kept_lines import KeptLines
 from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.grids import Floats
-from lbacal_core.provenance import Provenance, hash_arrays
+from lbacal_core.provenance import Provenance, as_json, hash_arrays, with_arrays
 
 # Spectra whose power is anomalous, as they are named to people: in reports, on pages and by the gate.
 
@@ -166,34 +167,12 @@ class SkyOverModel:
             c_sigma=known * error / 2.0,
         )
 
-    def as_dict(self) -> dict[str, Any]:
-        """The content as JSON values; null where C is not determined."""
-        return {
-            "ratio": [value if np.isfinite(value) else None for value in self.ratio.tolist()],
-            "sigma_stat": [value if np.isfinite(value) else None for value in self.sigma_stat.tolist()],
-            "sigma_laboratory": self.sigma_laboratory,
-            "mean": self.mean,
-            "mean_sigma_stat": self.mean_sigma_stat,
-            "c": self.c,
-            "c_sigma": self.c_sigma,
-        }
-
     def __str__(self) -> str:
         """Describe it for a user."""
         return (
             f"the sky through this antenna is {self.mean:.3f} +- {self.mean_sigma_stat:.3f} (noise) +- "
             f"{self.sigma_laboratory * self.mean:.3f} (laboratory) of the model"
         )
-
-
-def parse_sky_over_model(content: Mapping[str, Any] | None) -> SkyOverModel | None:
-    """Make the level from its JSON values."""
-    if content is None:
-        return None
-    ratio, sigma = (np.array(content[name], dtype=float) for name in ("ratio", "sigma_stat"))
-    return SkyOverModel(ratio, sigma, *(content[name] for name in (
-        "sigma_laboratory", "mean", "mean_sigma_stat", "c", "c_sigma",
-    )))  # fmt: skip
 
 
 CONVERGED = "converged"
@@ -395,78 +374,42 @@ class CalibrationCurve:
         return replace(self, status=MISFIT, flag=tuple(np.where(self.flags == OK, UNCERTAIN, self.flags).tolist()))
 
     def as_dict(self) -> dict[str, Any]:
-        """The curve as JSON values; never NaN. What belongs to G_ant is absent where nobody kept G_ant."""
-        content = {
-            "station": self.station,
-            "antenna": self.antenna,
-            "dipole": self.dipole,
-            "status": self.status,
-            "events": self.events,
-            "frequency_mhz": self.frequency_mhz.tolist(),
-            "c": None if self.c is None else list_numbers(self.c),
-            "c_sigma_stat": None if self.c_sigma_stat is None else list_numbers(self.c_sigma_stat),
-            "c_sigma_sys": None if self.c_sigma_sys is None else list_numbers(self.c_sigma_sys),
-            "chi2_per_dof": self.chi2_per_dof,
-            "lst_coverage": self.lst_coverage,
-            "parameters": {name: {"value": p.value, "sigma": p.sigma} for name, p in self.parameters.items()},
-            **self._gain_as_dict(),
-            **(
-                {} if self.merged is None else {"merged": asdict(self.merged) | {"constants": [*self.merged.constants]}}
-            ),
-        }
-        if self.repeated is not None:
-            content["repeated"] = asdict(self.repeated)
-        if self.span_unix is not None:
-            content["span_unix"] = list(self.span_unix)
-        if self.sky_over_model is not None:
-            content["sky_over_model"] = self.sky_over_model.as_dict()
-        # a version from before flags keeps its content and with it its hash
-        if self.flag is not None:
-            content |= {"flag": list(self.flag), "chi2_per_dof_profiled": self.chi2_per_dof_profiled}
-        if self.covariance is not None:
-            content["covariance"] = self.covariance.as_dict()
+        """The curve as JSON values; never NaN. What nobody kept is absent: with it a version keeps its hash."""
+        content = {name: as_json(one) for name, one in vars(self).items() if one is not None or name in _NULLABLE}
+        if self.flag is None:
+            content.pop("chi2_per_dof_profiled")
+        if self.antenna_gain is not None:
+            content |= {"antenna_gain_sha256": self.antenna_gain_sha256, "c_over_h": as_json(self.c_over_h)}
         return content
 
-    def _gain_as_dict(self) -> dict[str, Any]:
-        if self.antenna_gain is None:
-            return {}
-        return {
-            "antenna_gain": self.antenna_gain.tolist(),
-            "antenna_gain_sha256": self.antenna_gain_sha256,
-            "c_over_h": None if self.c_over_h is None else list_numbers(self.c_over_h),
-        }
+
+_NUMBERS = ("frequency_mhz", "c", "c_sigma_stat", "c_sigma_sys", "antenna_gain")
+_NULLABLE = ("station", "antenna", "dipole", *_NUMBERS[1:4], "chi2_per_dof", "chi2_per_dof_profiled")
+"""Fields that are null where they do not apply; others are then absent."""
+
+
+def _parse_parameters(content: Mapping[str, Any]) -> dict[str, Parameter]:
+    return {name: Parameter(one["value"], one["sigma"]) for name, one in content.items()}
+
+
+_PARSE: Mapping[str, Callable[[Any], Any]] = {
+    **dict.fromkeys(_NUMBERS, partial(np.array, dtype=float)),
+    **dict.fromkeys(("flag", "span_unix"), tuple),
+    "parameters": _parse_parameters,
+    "covariance": parse_covariance,
+    "merged": lambda one: MergedConstants(**one | {"constants": tuple(one["constants"])}),
+    "sky_over_model": lambda one: SkyOverModel(**with_arrays(one)),
+    "repeated": lambda one: Repeated(**one),
+}
+"""How the fields of a curve that are not JSON values are made of them."""
 
 
 def parse_curve(content: Mapping[str, Any]) -> CalibrationCurve:
     """Make a curve from its JSON values."""
-    return CalibrationCurve(
-        station=content["station"],
-        antenna=content["antenna"],
-        dipole=content["dipole"],
-        status=content["status"],
-        events=content["events"],
-        frequency_mhz=np.array(content["frequency_mhz"], dtype=float),
-        c=_array(content["c"]),
-        c_sigma_stat=_array(content["c_sigma_stat"]),
-        c_sigma_sys=_array(content["c_sigma_sys"]),
-        chi2_per_dof=content["chi2_per_dof"],
-        lst_coverage=content["lst_coverage"],
-        parameters={name: Parameter(p["value"], p["sigma"]) for name, p in content["parameters"].items()},
-        flag=None if content.get("flag") is None else tuple(content["flag"]),
-        antenna_gain=_array(content.get("antenna_gain")),
-        chi2_per_dof_profiled=content.get("chi2_per_dof_profiled"),
-        covariance=None if content.get("covariance") is None else parse_covariance(content["covariance"]),
-        merged=_parse_merged(content.get("merged")),
-        sky_over_model=parse_sky_over_model(content.get("sky_over_model")),
-        repeated=None if content.get("repeated") is None else Repeated(**content["repeated"]),
-        span_unix=None if content.get("span_unix") is None else tuple(content["span_unix"]),
-    )
-
-
-def _parse_merged(content: Mapping[str, Any] | None) -> MergedConstants | None:
-    if content is None:
-        return None
-    return MergedConstants(tuple(content["constants"]), content["value"], content["sigma"], content["reason"])
+    told = [one.name for one in fields(CalibrationCurve) if one.name in content or one.default is MISSING]
+    given = {name: content[name] for name in told}
+    made = {name: _PARSE[name](one) for name, one in given.items() if name in _PARSE and one is not None}
+    return CalibrationCurve(**given | made)
 
 
 @dataclass(frozen=True)
@@ -520,12 +463,3 @@ class FitReport:
 def write_fit_report(report: FitReport, path: Path) -> None:
     """Write fit.json."""
     path.write_text(json.dumps(report.as_dict(), indent=1, allow_nan=False) + "\n")
-
-
-def list_numbers(values: Floats) -> list[float | None]:
-    """Numbers as JSON values: null where there is none."""
-    return [value if np.isfinite(value) else None for value in values.tolist()]
-
-
-def _array(values: Sequence[float | None] | None) -> Floats | None:
-    return None if values is None else np.array(values, dtype=float)

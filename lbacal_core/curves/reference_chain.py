@@ -19,7 +19,7 @@ reference chain; referred to the input they follow with s_p.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, Self
 
@@ -28,7 +28,7 @@ import numpy as np
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.provenance import hash_content
+from lbacal_core.provenance import as_json, hash_content, with_arrays
 
 JENSEN = 3.0 / 8.0
 """The mean of (1 + d)^-1/2 less 1, over the variance of d, to second order."""
@@ -104,10 +104,6 @@ class GainSpread:
         """Mean square departure, shape (freq,)."""
         return np.asarray(self.offset**2 + self.spread**2)
 
-    def as_dict(self) -> dict[str, Any]:
-        """Describe the spread as JSON values."""
-        return {"paths": self.paths, "offset": self.offset.tolist(), "spread": self.spread.tolist()}
-
 
 @dataclass(frozen=True)
 class GainSpreads:
@@ -143,13 +139,7 @@ class GainSpreads:
 
     def as_dict(self) -> dict[str, Any]:
         """Describe the spreads as JSON values."""
-        between = self.between_stations
-        return {
-            "by_cable": {name: spread.as_dict() for name, spread in self.by_cable.items()},
-            "all_paths": self.all_paths.as_dict(),
-            "stations": self.stations,
-            "between_stations": None if between is None else between.tolist(),
-        }
+        return {one.name: as_json(getattr(self, one.name)) for one in fields(self)}
 
     @cached_property
     def digest(self) -> str:
@@ -159,17 +149,9 @@ class GainSpreads:
 
 def parse_spreads(content: Mapping[str, Any]) -> GainSpreads:
     """Make spreads from their JSON values."""
-    between = content["between_stations"]
-    return GainSpreads(
-        {name: _parse_spread(one) for name, one in content["by_cable"].items()},
-        _parse_spread(content["all_paths"]),
-        content["stations"],
-        None if between is None else np.array(between, dtype=float),
-    )
-
-
-def _parse_spread(content: Mapping[str, Any]) -> GainSpread:
-    return GainSpread(content["paths"], np.array(content["offset"], float), np.array(content["spread"], float))
+    by_cable = {name: GainSpread(**with_arrays(one)) for name, one in content["by_cable"].items()}
+    all_paths = GainSpread(**with_arrays(content["all_paths"]))
+    return GainSpreads(**with_arrays(content) | {"by_cable": by_cable, "all_paths": all_paths})
 
 
 @dataclass(frozen=True)
@@ -213,12 +195,6 @@ class ReferenceChain:
 
     def as_dict(self) -> dict[str, Any]:
         """The chain as JSON values; the cable table by its hash."""
-        jensen = self.jensen
-        return {
-            "members": [list(member) for member in self.members],
-            "mean_cable_loss": self.mean_loss.tolist(),
-            "jensen": None if jensen is None else jensen.tolist(),
-            "cables": self.cables.digest,
-            "spreads": None if self.spreads is None else self.spreads.as_dict(),
-            "doubt": self.doubt,
-        }
+        own = {"mean_cable_loss": self.mean_loss, "jensen": self.jensen, "cables": self.cables.digest}
+        whole: dict[str, Any] = as_json({"members": self.members, **own, "spreads": self.spreads, "doubt": self.doubt})
+        return whole

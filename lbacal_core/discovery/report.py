@@ -15,7 +15,7 @@ from lbacal_core.audit.record import RecordError, put_right
 from lbacal_core.calibration.chain_form import FORM_OF_CHAIN, compare_forms
 from lbacal_core.causes.axes import describe_term
 from lbacal_core.causes.cause import Description as CauseTexts
-from lbacal_core.causes.grammar import PLACES, as_equation, in_words
+from lbacal_core.causes.grammar import PLACES, as_equation, in_words, write_instant
 from lbacal_core.discovery.adopted import describe_size, fit_adopted
 from lbacal_core.discovery.antennas import AntennaScore
 from lbacal_core.discovery.describe import Described, Description
@@ -82,7 +82,7 @@ def describe_station(report: StationReport) -> StationContent:
         "deaf": report.deaf,
         "paths": len(report.station.antenna),
         "events": len(report.station.event_id),
-        "dates": [_date(float(pick(report.station.conditions.time_unix))) for pick in (np.min, np.max)],
+        "dates": [write_instant(float(pick(report.station.conditions.time_unix))) for pick in (np.min, np.max)],
         "picture": picture_station(report),
     }
     adopted = [describe_size(size) for size in report.adopted]
@@ -318,7 +318,7 @@ def _where(report: StationReport, target: Target, parameters: Mapping[str, Any])
         "frequency_mhz": band,
         "lst_h": None,
         "utc_h": None if list(hours) == [0, 24] else [float(hour) for hour in hours],
-        "dates": [_date(parameters.get("date_unix", float(times.min()))), _date(float(times.max()))],
+        "dates": [write_instant(parameters.get("date_unix", float(times.min()))), write_instant(float(times.max()))],
         "antennas": sorted({int(a) for a in station.antenna[target.is_member]}),
         "dipoles": sorted({str(d) for d in station.dipole[target.is_member]}),
     }
@@ -374,7 +374,7 @@ def _unexplained(structure: ResidualStructure, report: StationReport) -> dict[st
             "axis": structure.axis_name,
             "target": structure.target,
             "frequency_mhz": [float(strong.min()), float(strong.max())],
-            "dates": [_date(float(times.min())), _date(float(times.max()))],
+            "dates": [write_instant(float(times.min())), write_instant(float(times.max()))],
         },
         "description": f"structure along {structure.axis_name} in {_place(structure, station.name)} that no cause "
         f"of the catalogue explains, strongest at {strong.min():.0f}-{strong.max():.0f} MHz",
@@ -458,10 +458,6 @@ def _term(structure: ResidualStructure, report: StationReport) -> dict[str, Any]
     polarisations = report.last.linear.residuals.polarisations.tolist()
     coefficients = dict(zip(polarisations, structure.coefficients, strict=True))
     return describe_term(report.station.conditions, structure.axis.name, coefficients)
-
-
-def _date(time_unix: float) -> str:
-    return f"{datetime.fromtimestamp(time_unix, UTC):%Y-%m-%dT%H:%M:%SZ}"
 
 
 def plain_parameters(parameters: Mapping[str, Any]) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from lbacal_core.errors import BadInputError
 from lbacal_core.foreign import parse_name, parse_number, parse_numbers, parse_optional_name
 from lbacal_core.grids import Floats
+from lbacal_core.provenance import as_json
 
 # The letters of dipoles: any short name, such as X, Y or EW; an instrument says which arms they are.
 
@@ -216,14 +217,7 @@ class GainProvenance:
 
     def as_dict(self) -> dict[str, Any]:
         """The provenance as JSON values; what is not known is absent."""
-        values = {
-            "kind": self.kind,
-            "source": self.source,
-            "shape_error": None if self.shape_error is None else self.shape_error.tolist(),
-            "scale_error": self.scale_error,
-            "antenna_sha256": self.antenna_sha256,
-        }
-        return {name: value for name, value in values.items() if value is not None}
+        return {name: as_json(value) for name, value in vars(self).items() if value is not None}
 
 
 def parse_gain_provenance(content: Any, channels: int, place: str) -> GainProvenance | None:

@@ -18,7 +18,7 @@ from lbacal_core.data.constants import BOLTZMANN
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.instrument.power_unit import power_per_kelvin_sr
+from lbacal_core.instrument.matching import power_per_kelvin_sr
 from lbacal_core.instrument.stages import FREE, SEEN, Stage, multiply_gains, split_stages
 
 

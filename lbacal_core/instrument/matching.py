@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lbacal_core.data.constants import BOLTZMANN, IMPEDANCE_OF_FREE_SPACE, SPEED_OF_LIGHT
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, interpolate
 from lbacal_core.instrument.touchstone import read_touchstone
@@ -25,6 +26,18 @@ RESISTANCE_OHM = 50.0
 """R_r of eq. total_sky_power_eq: one constant, which cancels in C; the same as the default of spectra files."""
 T_0 = 290.0
 """Temperature at which noise figures are defined, K."""
+
+
+def power_per_kelvin_sr(frequency_mhz: Floats) -> Floats:
+    """k_B Z_0 nu^2 / (c^2 R_r) of eq. total_sky_power_eq, shape (freq,), W m^-2 MHz^-1 K^-1 sr^-1.
+
+    k_B and not 2 k_B: the half of the unpolarised response is inside, so that G_ant D = |J_theta|^2 + |J_phi|^2.
+    """
+    hertz_per_mhz = 1e6
+    nu = frequency_mhz * hertz_per_mhz
+    return np.asarray(
+        BOLTZMANN * IMPEDANCE_OF_FREE_SPACE * nu**2 / (SPEED_OF_LIGHT**2 * RESISTANCE_OHM) * hertz_per_mhz
+    )
 
 
 def length_gain(length_m: Floats, antenna: Impedance) -> Floats:

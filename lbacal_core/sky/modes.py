@@ -20,7 +20,7 @@ import scipy
 from lbacal_core.antenna.model import AntennaModel, directional_response
 from lbacal_core.antenna.varied import raise_arm
 from lbacal_core.grids import Floats
-from lbacal_core.instrument.power_unit import power_per_kelvin_sr
+from lbacal_core.instrument.matching import power_per_kelvin_sr
 from lbacal_core.sky.model import DATA_EPOCH, Complexes, SkyModel, precess_multipoles, wigner_d, with_negative_orders
 
 ZENITH_NODES = 64

@@ -50,12 +50,6 @@ class SkyLevel:
         design = np.stack([np.ones_like(frequency_mhz), np.log(frequency_mhz / PIVOT_MHZ)])
         return np.asarray(np.sqrt(np.einsum("if,ij,jf->f", design, self.covariance, design)))
 
-    def as_dict(self) -> dict[str, Any]:
-        """Describe the content of its file."""
-        covariance = [[round(float(value), 8) for value in row] for row in self.covariance]
-        rounded = {name: round(getattr(self, name), 5) for name in ("level", "slope", "scatter")}
-        return {"pivot_mhz": PIVOT_MHZ, **rounded, "covariance": covariance}
-
 
 def read_sky_level() -> SkyLevel:
     """The level that ships with the package, made by validation/scripts/make_sky_anchors.py."""

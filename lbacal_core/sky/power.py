@@ -83,10 +83,8 @@ def compute_sky_power(
 
 def vary_sky_power(
     instrument: Instrument,
-    sky: str | SkyModel | None = None,
-    antenna: str | AntennaModel | None = None,
-    lst_hours: Floats | None = None,
     *,
+    lst_hours: Floats | None = None,
     azimuth_deg: float = 0.0,
     zenith_exponent: float = 0.0,
     zenith_gain_fraction: float = 0.0,
@@ -96,10 +94,9 @@ def vary_sky_power(
     A variation of the gain at zenith appears in P_sky, so that P_sky G_ant is the power received; parameters as in
     `VariedAntenna`.
     """
-    antenna = antenna or antenna_for_ratios(instrument)
-    base = load_antenna(antenna) if isinstance(antenna, str) else antenna
+    base = load_antenna(antenna_for_ratios(instrument))
     varied = VariedAntenna(base, azimuth_deg, zenith_exponent=zenith_exponent, zenith_gain=zenith_gain_fraction)
-    result = compute_sky_power(replace(instrument, sites={}), sky, varied, lst_hours)
+    result = compute_sky_power(replace(instrument, sites={}), None, varied, lst_hours)
     gain = zenith_gain(varied, instrument.frequency_mhz) / zenith_gain(base, instrument.frequency_mhz)
     received = replace(result, power={dipole: values * gain for dipole, values in result.power.items()})
     return received.of_inputs(hash_content([result.digest(), "gain of the base", base.digest()]))

@@ -1,20 +1,19 @@
 """How far the sky may be from the model: independent changes of ln P_sky, for a budget of C.
 
 Three budgets. ``paper``: scale, map and model of Mulrey et al. 2019. ``models``: the spread of seven sky models, and
-what the shipped ones differ by beyond it. ``measured``: the error of the level on which the experiments of
-`combine_anchors` agree, and what carries it from their sky to the instrument's.
+what the shipped ones differ by beyond it. ``measured``: the error of the level on which experiments agree
+(`validation.anchors`), and what carries it from their sky to the instrument's.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
 
 import numpy as np
-import scipy
 
 from lbacal_core.antenna.ideal import ShortDipole
 from lbacal_core.antenna.model import AntennaModel
@@ -23,8 +22,8 @@ from lbacal_core.data.prior import read_prior
 from lbacal_core.errors import require_name
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.instrument.power_unit import power_per_kelvin_sr
-from lbacal_core.linear import invert_symmetric, root_of
+from lbacal_core.instrument.matching import power_per_kelvin_sr
+from lbacal_core.linear import root_of
 from lbacal_core.sky.antenna_of import antenna_of
 from lbacal_core.sky.model import DATA_EPOCH, SkyModel, precess_multipoles
 from lbacal_core.sky.modes import beam_multipoles, beam_on_equator
@@ -34,7 +33,6 @@ from lbacal_core.sky.names import (
     PIVOT_MHZ,
     WIDE_SKIES,
     WIDE_SKY,
-    SkyLevel,
     default_sky,
     list_skies,
     load_sky,
@@ -42,67 +40,6 @@ from lbacal_core.sky.names import (
 )
 from lbacal_core.sky.power import compute_sky_power
 from lbacal_core.sky.table import SkyPower
-
-# How hot the sky was measured to be: experiments against a sky model, their mean, each predicted by the others.
-
-SCATTERS = np.linspace(0.0, 0.3, 121)
-"""Scatter between families in ln T, beyond the stated errors, over which the result is averaged."""
-SHARE_OF_SCATTER = 0.5
-"""Its half-normal prior, as a share of the error of the sky's level."""
-
-
-@dataclass(frozen=True)
-class Anchor:
-    """The absolute brightness of the sky by one experiment.
-
-    Attributes
-    ----------
-    family
-        Experiments of one family share receiver and calibration: they are left out together.
-    kind
-        ``temperature``: mean over LST seen by a dipole; ``map``: a factor and an offset that a sky model needs;
-        ``sky``: a sky model of its own.
-    latitude_deg, dipole_height_m
-        Where the sky is averaged, with a short dipole above a plane as the beam.
-    measurement_error, channel_error
-        Relative, one standard deviation: shared by the frequencies and by the family, and each frequency's own.
-    model_error
-        Relative, of evaluating it with a sky model that is not its own.
-    """
-
-    experiment: str
-    family: str
-    kind: str
-    latitude_deg: float
-    dipole_height_m: float
-    frequency_mhz: Floats
-    measurement_error: float
-    channel_error: float
-    model_error: float
-    source: str
-    temperature_k: Floats | None = None
-    scale: float = 1.0
-    offset_k: float = 0.0
-    sky: str | None = None
-
-    def ln_ratio(self, base: SkyModel) -> Floats:
-        """Ln of the measured mean temperature over that of a sky model, shape (freq,)."""
-        beam = ShortDipole(self.dipole_height_m)
-        model = mean_temperature(base, beam, self.frequency_mhz, self.latitude_deg)
-        measured = self.scale * model + self.offset_k if self.temperature_k is None else self.temperature_k
-        if self.sky is not None:
-            measured = mean_temperature(load_sky(self.sky), beam, self.frequency_mhz, self.latitude_deg)
-        return np.asarray(np.log(measured / model))
-
-
-def read_anchors() -> list[Anchor]:
-    """The experiments that ship with the package."""
-    rows: list[dict[str, Any]] = json.loads((files("lbacal_core") / "data/sky_anchors.json").read_text())
-    for row in rows:
-        row["frequency_mhz"] = np.array(row["frequency_mhz"])
-        if "temperature_k" in row:
-            row["temperature_k"] = np.array(row["temperature_k"])
-    return [Anchor(**row) for row in rows]
 
 
 def dipole_temperature(
@@ -134,56 +71,6 @@ def extended_temperature(sky: SkyModel, frequency_mhz: Floats) -> Any:
     first, last = sky.temperature(np.array([low, end]))[:, 0, 0].real
     index = np.log(last / first) / np.log(end / low)
     return inside * (np.maximum(frequency_mhz, end) / end)[:, None, None] ** index
-
-
-def combine_anchors(anchors: Sequence[Anchor], base: SkyModel) -> SkyLevel:
-    """Level and slope of the sky by generalised least squares, averaged over the scatter between families."""
-    ratio, design, stated, between = stack_anchors(anchors, base)
-    prior, found, weights = read_prior(), [], []
-    for scatter in SCATTERS:
-        mean, covariance, ln_likelihood = _solve(ratio, design, stated + scatter**2 * between)
-        found.append((mean, covariance))
-        weights.append(ln_likelihood - 0.5 * (scatter / (SHARE_OF_SCATTER * prior["sky_level"].size)) ** 2)
-    weight = np.exp(np.array(weights) - max(weights))
-    weight /= weight.sum()
-    means = np.array([mean for mean, _ in found])
-    centre = weight @ means
-    spread = means - centre
-    covariance = np.einsum("k,kij->ij", weight, [c for _, c in found]) + np.einsum(
-        "k,ki,kj->ij", weight, spread, spread
-    )
-    scatter = float(np.sqrt(weight @ SCATTERS**2))
-    return SkyLevel(float(centre[0]), float(centre[1]), covariance, scatter)
-
-
-def stack_anchors(anchors: Sequence[Anchor], base: SkyModel) -> tuple[Floats, Floats, Floats, Floats]:
-    """Ln ratios, design (level, slope), stated covariance, and which of them share a family."""
-    ratio = np.concatenate([anchor.ln_ratio(base) for anchor in anchors])
-    frequency_mhz = np.concatenate([anchor.frequency_mhz for anchor in anchors])
-    design = np.stack([np.ones_like(frequency_mhz), np.log(frequency_mhz / PIVOT_MHZ)], axis=1)
-    family = np.concatenate([[anchor.family] * anchor.frequency_mhz.size for anchor in anchors])
-    shared = (family[:, None] == family[None, :]).astype(float)
-    error = np.concatenate([np.full(anchor.frequency_mhz.size, anchor.measurement_error) for anchor in anchors])
-    blocks = [
-        np.full((one.frequency_mhz.size,) * 2, one.model_error**2)
-        + one.channel_error**2 * np.eye(one.frequency_mhz.size)
-        for one in anchors
-    ]
-    stated = np.outer(error, error) * shared + scipy.linalg.block_diag(*blocks)
-    return ratio, design, stated, shared
-
-
-def _solve(ratio: Floats, design: Floats, covariance: Floats) -> tuple[Floats, Floats, float]:
-    """Level and slope, their covariance, and ln of the likelihood with both integrated out."""
-    weight = invert_symmetric(covariance)
-    slope_prior = read_prior()["sky_slope"].size
-    precision = design.T @ weight @ design + np.diag([0.0, slope_prior**-2])
-    inverse = invert_symmetric(precision)
-    mean = inverse @ (design.T @ weight @ ratio)
-    left = ratio - design @ mean
-    chi2 = left @ weight @ left + (mean[1] / slope_prior) ** 2
-    log_determinants = np.linalg.slogdet(covariance)[1] + np.linalg.slogdet(precision)[1]
-    return mean, inverse, float(-0.5 * (chi2 + log_determinants))
 
 
 EDGES_DEG = -26.715
@@ -302,10 +189,13 @@ def _alternatives(
     return terms
 
 
-def zero_level_sigma_k(anchors: list[Anchor]) -> float:
+def zero_level_sigma_k() -> float:
     """Root mean square of the offsets that map corrections give, carried to 75 MHz with nu^-2.55, K."""
+    anchors: list[dict[str, Any]] = json.loads((files("lbacal_core") / "data/sky_anchors.json").read_text())
     offsets = [
-        one.offset_k * (one.frequency_mhz.mean() / OFFSET_MHZ) ** OFFSET_INDEX for one in anchors if one.kind == "map"
+        one["offset_k"] * (np.mean(one["frequency_mhz"]) / OFFSET_MHZ) ** OFFSET_INDEX
+        for one in anchors
+        if one["kind"] == "map"
     ]
     return float(np.sqrt(np.mean(np.square(offsets))))
 
@@ -313,7 +203,7 @@ def zero_level_sigma_k(anchors: list[Anchor]) -> float:
 def _zero_level_term(instrument: Instrument, own: SkyPower) -> SkyTerm:
     """A uniform brightness, with the scale such that the mean where the level was measured stays."""
     frequency_mhz = own.frequency_mhz
-    kelvin = zero_level_sigma_k(read_anchors()) * (frequency_mhz / OFFSET_MHZ) ** -OFFSET_INDEX
+    kelvin = zero_level_sigma_k() * (frequency_mhz / OFFSET_MHZ) ** -OFFSET_INDEX
     beam = beam_multipoles(load_antenna(antenna_of(instrument)), frequency_mhz, 0)
     solid_angle = beam[:, 0, 0].real * np.sqrt(4 * np.pi)
     uniform = kelvin * solid_angle * power_per_kelvin_sr(frequency_mhz)

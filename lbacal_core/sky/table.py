@@ -83,10 +83,10 @@ def make_even(
     size = max(EVEN_INSTANTS, 4 * most)
     even = DAY_HOURS * np.arange(size) / size
     for harmonics in range(most, fewest - 1, -1):
-        orthogonal, triangular = np.linalg.qr(_basis(lst_hours, harmonics))
+        orthogonal, triangular = np.linalg.qr(harmonics_at(lst_hours, harmonics))
         if np.min(np.abs(np.diag(triangular))) < SMALLEST_PIVOT * np.max(np.abs(np.diag(triangular))):
             continue
-        series = _basis(even, harmonics) @ pseudo_invert(triangular)
+        series = harmonics_at(even, harmonics) @ pseudo_invert(triangular)
         if np.max(np.sum(series**2, axis=1)) <= LARGEST_VARIANCE:
             break
     else:
@@ -111,10 +111,10 @@ def most_harmonics(instants: int) -> int:
     return max(fewest_harmonics(instants), instants // 4)
 
 
-def _basis(lst_hours: Floats, harmonics: int) -> Floats:
-    """1, cosines and sines, shape (lst, 2 M + 1)."""
-    angle = 2.0 * np.pi / DAY_HOURS * np.outer(lst_hours, np.arange(1, harmonics + 1))
-    return np.concatenate([np.ones((lst_hours.size, 1)), np.cos(angle), np.sin(angle)], axis=1)
+def harmonics_at(lst_hours: Floats, most: int) -> Floats:
+    """1, then cosines, then sines, of the sidereal day, shape (instant, 1 + 2 most)."""
+    angle = 2.0 * np.pi / DAY_HOURS * np.outer(lst_hours, np.arange(1, most + 1))
+    return np.concatenate([np.ones((angle.shape[0], 1)), np.cos(angle), np.sin(angle)], axis=1)
 
 
 def _undetermined(place: str, lst_hours: Floats, harmonics: int) -> BadInputError:

@@ -9,6 +9,7 @@ import typer
 
 from lbacal.cli.options import Json
 from lbacal.cli.outputs import require_outputs, show, show_each
+from lbacal.instants import format_instant, format_optional
 
 if TYPE_CHECKING:
     from service.factory import Factory
@@ -85,8 +86,6 @@ def repair_clock() -> None:
 
     Until the instant of the last of them nothing can be promoted. Every line that was moved is printed.
     """
-    from lbacal.instants import format_instant
-
     with _factory().database.write() as stores:
         moved = stores.ledger.repair_clock()
     for was, at in moved.items():
@@ -116,8 +115,6 @@ def list_keys(as_json: Json = False) -> None:
 
     Example: lbacal keys list
     """
-    from lbacal.instants import format_optional
-
     found = [
         vars(key) | {name: format_optional(getattr(key, name)) for name in ("created", "expires", "revoked")}
         for key in _factory().database.look(lambda stores: stores.keys.all())

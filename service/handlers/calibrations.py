@@ -24,6 +24,7 @@ from service.handlers.request import (
     Limit,
     StationQuery,
     UseCases,
+    Whole,
     answer,
     answer_in_pieces,
 )
@@ -252,3 +253,31 @@ def describe_diff(first: Version, second: Version) -> dict[str, Any]:
         if first.inputs.get(name) != second.inputs.get(name)
     }
     return {"first": first.id, "second": second.id, "curves": curves, "inputs": inputs}
+
+
+# What an antenna should see.
+
+predictions = APIRouter(tags=["predictions"])
+
+
+@reads(predictions, "/v1/predictions", wire.PredictionAnswer, 404, takes_turn=True)
+def get_prediction(
+    request: Request,
+    use: UseCases,
+    station: str,
+    antenna: Whole,
+    dipole: str,
+    at: str | None = None,
+    mjd: str | None = None,
+    temperature_c: float | None = None,
+) -> Response:
+    """Predict the power of a path.
+
+    The expected spectrum at `at` (or `mjd`) by the calibration then in effect with its covariance, what it is made of
+    at the start of the chain, what the converter shows, the flux of a zenith source that doubles the power of this one
+    dipole, and how the recorded power of single events scatters about it.
+    """
+    instant = parse_at(at, mjd)
+    curve, found = use.predictions.of(station, antenna, dipole, instant, temperature_c)
+    answered = {"calibration": curve.promotion.calibration, "answered_by": curve.promotion.scope.level}
+    return answer(request, {"at": format_instant(instant), **answered, **found.as_dict()})

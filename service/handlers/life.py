@@ -12,8 +12,7 @@ from service.handlers.drift import describe_alarm, describe_change
 from service.handlers.models import describe_investigation, describe_model
 from service.handlers.request import InPath, UseCases, Whole, answer
 from service.handlers.routes import reads
-from service.usecases.bad_antennas import list_bad
-from service.usecases.life import Life
+from service.usecases.life import Life, list_bad
 from service.wire.answer_models import (
     BadAntennasAnswer,
     BadPathAnswer,

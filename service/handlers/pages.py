@@ -46,8 +46,8 @@ from service.handlers.request import (
     require_read,
 )
 from service.page import charts
+from service.page.charts import Span
 from service.page.render import Figure, find_asset, name_scope, render_page, render_part
-from service.page.span import Span
 from service.storage.alarms import ACKNOWLEDGED, ENDED, OPEN, AlarmsAsked
 from service.storage.changes import PROPOSED, KeptChange
 from service.storage.models import Investigation

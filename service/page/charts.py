@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
+from urllib.parse import urlencode
 
 import numpy as np
 
@@ -33,7 +35,6 @@ from lbacal_core.causes.cause import RAIN, TEMPERATURE
 from lbacal_core.curves.validity import Instant
 from lbacal_core.errors import name_path
 from lbacal_core.grids import WITHIN_1_SIGMA, Floats
-from service.page.span import Span
 from service.storage.changes import KeptChange
 from service.usecases.drift import DriftSeries, MonthPoint, VersionPoint
 from service.usecases.life import Life
@@ -41,6 +42,46 @@ from service.usecases.status import StationState
 
 if TYPE_CHECKING:
     from lbacal_core.calibration.one_event import OverLst  # half a second to import
+
+# The time range of an address (`?since=&until=`), which every page obeys and every link of a page keeps.
+
+
+@dataclass(frozen=True)
+class Span:
+    """A half-open range of time; None is open."""
+
+    since: Instant | None = None
+    until: Instant | None = None
+
+    def has(self, instant: Instant) -> bool:
+        """Whether an instant lies in it."""
+        return (self.since is None or self.since <= instant) and (self.until is None or instant < self.until)
+
+    @property
+    def limits(self) -> tuple[float, float] | None:
+        """Both ends in seconds, for an axis; None where one of them is open."""
+        return None if self.since is None or self.until is None else (self.since / SECOND_US, self.until / SECOND_US)
+
+    @property
+    def days(self) -> dict[str, str]:
+        """The ends of the range as dates, as the form of a page shows them; empty where open."""
+        ends = {"since": self.since, "until": self.until}
+        return {name: "" if at is None else format_instant(at)[:10] for name, at in ends.items()}
+
+    @property
+    def query(self) -> str:
+        """The query by which the next page has the same range of time; empty where both ends are open."""
+        return self.with_more()
+
+    def with_more(self, **more: str) -> str:
+        """Add further parameters."""
+        given = {name: value for name, value in {**self.days, **more}.items() if value}
+        return f"?{urlencode(given)}" if given else ""
+
+
+EVERYTHING = Span()
+
+# The charts.
 
 HALF_A_MONTH = 15 * 86_400
 PERCENT = 100.0

@@ -19,7 +19,7 @@ from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import name_path, write_chance, write_change, write_percent
 from service.errors import NotFoundError
 from service.page import charts
-from service.page.span import EVERYTHING
+from service.page.charts import EVERYTHING
 from service.usecases.gate import name_members, tell_shapes
 
 # Files of the page under names that hold their hash: a browser may keep them for ever, and never shows an old one.

@@ -307,11 +307,6 @@ class Drift:
         with self.database.read() as stores:
             return hash_content([stores.drift.state(), stores.ledger.newest_number()])
 
-    def steps(self, count: int) -> list[Step]:
-        """List the most significant steps."""
-        with self.database.read() as stores:
-            return _steps(stores, Scope(), stores.drift.report(), count)
-
 
 def find_means_in_effect(stores: Stores, scopes: Sequence[Scope]) -> list[MeanC]:
     """Find the band means of C of the versions that answer for some scopes at any time, as the ledger stands now.
@@ -340,10 +335,10 @@ def _gather(stores: Stores, scopes: Sequence[Scope], report: Mapping[str, Any] |
     return found
 
 
-def _steps(stores: Stores, scope: Scope, report: Mapping[str, Any] | None, count: int | None = None) -> list[Step]:
+def _steps(stores: Stores, scope: Scope, report: Mapping[str, Any] | None) -> list[Step]:
     """The changes of a scope, each with the version of its path in effect then."""
     changes = [] if report is None else [one for one in report["changes"] if _concerns(scope, one)]
-    steps = [Step(change, None) for change in changes[:count]]
+    steps = [Step(change, None) for change in changes]
     asked = [(step.path, step.date) for step in steps if step.path.antenna is not None]
     decisive = stores.ledger.decisive_at(asked)
     at = {pair: promotion.calibration for pair, promotion in decisive.items()}

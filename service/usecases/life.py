@@ -1,17 +1,18 @@
-"""The life of a path, a station or the array: what was in effect when, and all that happened to it."""
+"""The life of a path, a station or the array: all that happened to it; and the paths not to be used at an instant."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from lbacal.instants import DAY_US
+from lbacal.instants import DAY_US, format_instant
 from lbacal_core.calibration.spreads import tell_reference
 from lbacal_core.curves.validity import Instant, Scope, Stretch, timeline
 from lbacal_core.instrument.instrument import Instrument
-from service.storage.alarms import STATES, Alarm, AlarmsAsked
-from service.storage.changes import Epoch, KeptChange, concerns, split_epochs
+from service.storage.alarms import LOST_PATH, STATES, Alarm, AlarmsAsked
+from service.storage.changes import LARGEST_TAKEN_OUT, STEP, Epoch, KeptChange, concerns, split_epochs
 from service.storage.database import Database
 from service.storage.models import Investigation
 from service.storage.versions import Version
@@ -21,7 +22,7 @@ from service.usecases.changes import Changes
 from service.usecases.models import AdoptedModel, Models
 
 MOST = 1000
-"""Versions, alarms and investigations of a life; the newest ones."""
+"""Versions, alarms and investigations that are looked at; the newest ones."""
 SAMPLED_US = 30 * DAY_US
 
 
@@ -94,3 +95,72 @@ def _follow(stretch: Stretch, version: Version, of_antenna: ByAntenna) -> list[F
     since, until = stretch.start or version.since, stretch.end or version.until
     followed = [(at, follow(told, version, slow, at)) for at in range(since, until, SAMPLED_US)] if slow else []
     return [Factor(at, float(one.factor.mean()), one.error) for at, one in followed] or None
+
+
+# Paths not to be used at an instant: silent ones, those that hardly hear the sky, and those that lost half.
+
+
+@dataclass(frozen=True)
+class BadPath:
+    """A path, and why it is not to be used.
+
+    Attributes
+    ----------
+    kind
+        ``silent``: no spectrum since then, while others have many; ``insensitive``: left out of an investigation, as it
+        does not work or hardly hears the sky; ``weak``: its power fell by more than half at a change that is in force.
+    source
+        Where that stands: a path of the API.
+    """
+
+    path: Scope
+    kind: str
+    since: Instant
+    sentence: str
+    source: str
+
+
+def list_bad(database: Database, instrument: Instrument, instant: Instant, station: str | None) -> list[BadPath]:
+    """The bad paths of a station, or of all, in order of path; one row a reason."""
+    paths = select_paths(instrument, station, None, None)
+    with database.read() as stores:
+        alarms = stores.alarms.newest(AlarmsAsked(STATES, MOST, kind=LOST_PATH, station=station), instant)
+        made = stores.investigations.newest_covering(instant, station)
+        changes = stores.changes.kept(station)
+    found = [*_silent(alarms, paths, instant), *_insensitive(made), *_weak(changes, paths, instant)]
+    order = {path: number for number, path in enumerate(paths)}
+    return sorted((one for one in found if one.path in order), key=lambda one: (order[one.path], one.kind))
+
+
+def _silent(alarms: Sequence[Alarm], paths: Sequence[Scope], instant: Instant) -> Iterator[BadPath]:
+    by_key = {path.key: path for path in paths}
+    for one in alarms:
+        since = one.news.since
+        if since is None or since > instant or (one.ended is not None and one.ended <= instant):
+            continue
+        sentence = f"no spectrum that sees the sky since {format_instant(since)[:10]}"
+        for path in (by_key[key] for key in one.news.content.get("paths", []) if key in by_key):
+            yield BadPath(path, "silent", since, sentence, f"/v1/alarms/{one.number}")
+
+
+def _insensitive(made: Sequence[Investigation]) -> Iterator[BadPath]:
+    for one in made:
+        when = f"{format_instant(one.since)[:10]} to {format_instant(one.until)[:10]}"
+        sentence = f"left out of the investigation of {when}: it does not work, or hardly hears the sky"
+        for label in (label for station in one.report["stations"] for label in station.get("deaf", [])):
+            _, antenna, dipole = label.split()
+            path = Scope(one.station, int(antenna), dipole)
+            yield BadPath(path, "insensitive", one.since, sentence, f"/v1/investigations/{one.id}")
+
+
+def _weak(changes: Sequence[KeptChange], paths: Sequence[Scope], instant: Instant) -> Iterator[BadPath]:
+    """Paths whose last step before the instant took more than half of their power."""
+    steps = [one for one in changes if one.stands and one.change.kind == STEP and one.change.date <= instant]
+    steps.sort(key=lambda one: one.change.date)
+    for path in paths:
+        own = [one for one in steps if one.change.station == path.station and concerns(one, path.antenna, path.dipole)]
+        size = own[-1].change.size if own else None
+        if size is not None and 2.0 * math.log1p(size) > LARGEST_TAKEN_OUT:  # C^2 is proportional to 1 / power
+            date = own[-1].change.date
+            sentence = f"its power fell to {(1.0 + size) ** -2.0:.0%} on {format_instant(date)[:10]}"
+            yield BadPath(path, "weak", date, sentence, f"/v1/changes#{own[-1].number}")

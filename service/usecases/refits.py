@@ -6,10 +6,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from lbacal.instants import DAY_US
+from lbacal.instants import DAY_US, SECOND_US
+from lbacal_core.calibration.windows import leave_out_changed
 from lbacal_core.causes.model import Model
 from lbacal_core.curves.covariance import Budget, parse_budget
 from lbacal_core.curves.validity import Instant, Promotion, Scope, timeline
+from lbacal_core.discovery.adopted import measure_gains
+from lbacal_core.discovery.calibrate import FittedCauses
 from lbacal_core.errors import BadInputError
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.spectra import Spectra
@@ -17,7 +20,7 @@ from service.config import Settings
 from service.errors import ConflictError
 from service.storage.database import Database, Stores
 from service.storage.jobs import Order, Part
-from service.storage.models import Gain
+from service.storage.models import ADOPTED, Gain
 from service.storage.sums import KeptPiece, Sums, Told, read_pieces
 from service.storage.versions import Examined, Version
 from service.usecases.calibrations import find_slow, group_by_antenna, select_paths
@@ -36,7 +39,6 @@ from service.usecases.fits import (
 )
 from service.usecases.gate import Gate, find_predecessors, find_shift
 from service.usecases.orders import name_inputs, place_order, read_window
-from service.usecases.payoff import find_known_until, measure_payoff
 from service.usecases.windows import ALONE, Neighbours
 from service.wire.bodies import RefitBody
 
@@ -342,3 +344,39 @@ def describe_part(
         "scope": scope, "station": of.station, "antenna": of.antenna, "dipole": of.dipole,
         "since": since, "until": until, "promote": promote, **({} if model.is_plain else {"model": model.id}),
     }  # fmt: skip
+
+
+# What adopted causes gain on events that their adoption had not seen, measured by every later refit of the station.
+
+
+def find_known_until(stores: Stores, wanted: Wanted) -> dict[str, Instant]:
+    """The newest event that the adoption of each cause had seen, by the id of the cause; empty for other scopes."""
+    if wanted.scope != "station" or wanted.model.is_plain:
+        return {}
+    changes = stores.models.changes(wanted.of.station)
+    return {one.cause: one.known_until for one in changes if one.act == ADOPTED and one.known_until is not None}
+
+
+def measure_payoff(
+    whole: FittedCauses, wanted: Wanted, known_until: Mapping[str, Instant], simulation: Simulation, now: Instant
+) -> list[Gain]:
+    """The gain of every adopted cause on the events of a window that are new to it, its size as it was adopted."""
+    found = list[Gain]()
+    spectra = leave_out_changed(whole.recorded, simulation.instrument) if known_until else None
+    if spectra is None:
+        return found
+    names = [Model((cause,)).id for cause in whole.model.causes]
+    for last in sorted({known_until[name] for name in names if name in known_until}):
+        is_new = spectra.time_unix > last / SECOND_US
+        if not (is_new.any() and whole.stations):
+            continue
+        measured = measure_gains(spectra, simulation.with_causes(whole.model), is_new)
+        found += [
+            Gain(
+                names[one.number], str(wanted.of.station), wanted.since, wanted.until, one.events, one.gain,
+                one.expected, one.expected_sigma, now,
+            )
+            for one in measured
+            if known_until.get(names[one.number]) == last
+        ]  # fmt: skip
+    return found

@@ -9,8 +9,8 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 
 from lbacal.instants import format_optional
-from lbacal_core.curves.curves import list_numbers
 from lbacal_core.curves.validity import Instant, Promotion, Scope
+from lbacal_core.provenance import as_json
 from service.errors import NotAcceptableError
 from service.wire.answer_models import INSTANT, Answer, PromotionLine
 
@@ -50,7 +50,7 @@ def _read_field(name: str, values: Sequence[Any], *, is_instant: bool) -> Any:
     if is_instant:
         return format_optional(found)
     if isinstance(found, np.ndarray):
-        return list_numbers(found)
+        return as_json(found)
     return dict(found) if isinstance(found, Mapping) else list(found) if isinstance(found, tuple) else found
 
 

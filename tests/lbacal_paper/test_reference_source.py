@@ -12,6 +12,7 @@ from lbacal_paper.reference_source import (
     add_disagreement,
     calibrate_with_source,
     compare_with_source,
+    effective_area,
     expected_power,
     field_at,
     floor_factor,
@@ -144,3 +145,11 @@ def test_both_laboratories_miss_the_true_field_and_each_other() -> None:
     for one in (chamber, cell):
         assert np.all(np.abs(np.log(one.field / truth)) < 2 * one.sigma)
     assert np.ptp(np.log(chamber.field / cell.field)) > 0.1
+
+
+def test_a_matched_short_dipole_in_free_space_has_three_eighths_of_lambda_squared_over_pi():
+    wavelength, length = 5.0, 0.1
+    # Radiation resistance of a short dipole; the matched load sees half of the open-circuit height.
+    resistance = 2 * np.pi / 3 * IMPEDANCE_OF_FREE_SPACE * (length / wavelength) ** 2
+    area = effective_area(np.array((length / 2) ** 2), resistance)
+    assert area == pytest.approx(3 / (8 * np.pi) * wavelength**2, rel=1e-12)

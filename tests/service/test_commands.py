@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
+from lbacal.cli.analysis import print_investigation
 from lbacal.cli.client import print_job, print_receipt
 from lbacal.cli.ledger import _print_adoption, _print_jobs, print_act, print_model, print_state
 from lbacal.cli.main import add_commands, app
-from lbacal.cli.stored import print_investigation
 from lbacal_core.curves.validity import Scope
 from lbacal_core.errors import BadInputError
 from lbacal_core.spectra.spectra import write_spectra

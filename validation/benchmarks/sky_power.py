@@ -11,11 +11,11 @@ import numpy as np
 from lbacal_core.antenna.lofar import load_hamaker
 from lbacal_core.antenna.varied import VariedAntenna
 from lbacal_core.instrument.instrument import load_instrument
-from lbacal_core.sky.direct import sum_over_pixels
 from lbacal_core.sky.model import DATA_EPOCH, precess_multipoles
 from lbacal_core.sky.modes import beam_multipoles, combine, sky_power_at, sky_power_modes
 from lbacal_core.sky.names import load_sky
 from validation.benchmarks.timing import processor_times, time_once
+from validation.pixels import sum_over_pixels
 
 ARM_DEG = 45.0
 

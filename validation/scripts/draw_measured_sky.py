@@ -21,20 +21,12 @@ from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.names import load_sky, read_sky_level
 from lbacal_core.sky.power import compute_sky_power
-from lbacal_core.sky.sky_terms import (
-    EDGES_DEG,
-    EDGES_HEIGHT_M,
-    SKY_BUDGETS,
-    combine_anchors,
-    dipole_temperature,
-    read_anchors,
-    sky_terms,
-)
+from lbacal_core.sky.sky_terms import EDGES_DEG, EDGES_HEIGHT_M, SKY_BUDGETS, dipole_temperature, sky_terms
 from lbacal_paper.figures import MARKERS, SETTINGS
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
+from validation.anchors import combine_anchors, predict_left_out, read_anchors
 from validation.machinery.tables import replace_tables, write_table
-from validation.scripts.left_out_anchors import predict_left_out
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE = DOCS / "explanation" / "measured-sky.md"

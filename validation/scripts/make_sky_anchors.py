@@ -4,7 +4,7 @@
 
 The table of EDGES goes into lbacal_core/data/sky_anchors.json as its means over the sidereal day at five frequencies;
 the other numbers there are those of the abstracts of the papers that it cites. The level and slope by which the sky
-`gsm` is multiplied, and their covariance, follow from `lbacal_core.sky.sky_terms`.
+`gsm` is multiplied, and their covariance, follow from `validation.anchors`.
 """
 
 from __future__ import annotations
@@ -16,9 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from lbacal_core.data.tables import read_columns
-from lbacal_core.sky.names import BASE_SKY, load_sky
-from lbacal_core.sky.sky_terms import combine_anchors, read_anchors
-from validation.scripts.left_out_anchors import predict_left_out
+from lbacal_core.sky.names import BASE_SKY, PIVOT_MHZ, load_sky
+from validation.anchors import combine_anchors, predict_left_out, read_anchors
 
 DATA = Path(__file__).parents[2] / "lbacal_core" / "data"
 
@@ -36,7 +35,10 @@ def main(table: str) -> None:
     edges["temperature_k"] = edges_means(Path(table), edges["frequency_mhz"])
     path.write_text(json.dumps(anchors, indent=1) + "\n")
     level = combine_anchors(read_anchors(), load_sky(BASE_SKY))
-    (DATA / "sky_level.json").write_text(json.dumps(level.as_dict(), indent=1) + "\n")
+    rounded = {name: round(getattr(level, name), 5) for name in ("level", "slope", "scatter")}
+    covariance = [[round(float(value), 8) for value in row] for row in level.covariance]
+    content = {"pivot_mhz": PIVOT_MHZ, **rounded, "covariance": covariance}
+    (DATA / "sky_level.json").write_text(json.dumps(content, indent=1) + "\n")
     print(level)
     for line in predict_left_out(read_anchors(), load_sky(BASE_SKY)):
         print(line)

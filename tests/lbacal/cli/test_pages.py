@@ -12,15 +12,14 @@ import pytest
 from typer.testing import CliRunner
 
 from lbacal.analysis.budget import ErrorBudget
+from lbacal.analysis.result import align
 from lbacal.cli.main import app
-from lbacal.pages import investigation as investigation_page
 from lbacal.pages.budget import draw_budget
 from lbacal.pages.chart import Chart, plot_charts
 from lbacal.pages.finding import draw_finding, draw_scores, draw_sentence, draw_station, tell_finding
 from lbacal.pages.fit import average_residuals, draw_c, draw_fit, draw_page
 from lbacal.pages.fit_summary import describe_error, explain_chi2, tabulate_curves
-from lbacal.pages.report import list_origin
-from lbacal.pages.tables import align
+from lbacal.pages.report import draw_investigation, list_origin
 from lbacal_core.calibration.one_event import ErrorOfC
 from lbacal_core.curves.covariance import Budget, BudgetTerm, parse_budget
 from lbacal_core.curves.curves import CalibrationCurve, FitReport
@@ -276,7 +275,7 @@ def written(tmp_path_factory):
     spectra = simulate_campaign(SETTINGS, chain, sky, np.random.default_rng(8), faults).spectra
     content, _ = investigate(spectra, Simulation(chain, sky))
     path = tmp_path_factory.mktemp("page") / "r.html"
-    path.write_text(investigation_page.draw_page(content))
+    path.write_text(draw_investigation(content))
     return content, path.read_text()
 
 
@@ -358,7 +357,7 @@ def test_a_static_cause_is_drawn_as_an_antenna_against_the_others(tmp_path):
     seen = 0.1 * np.sinc(0.62) / np.sinc(0.38)
     assert abs(finding["size"]["value"] - seen) < 4 * finding["size"]["sigma"]
     assert {"cable_length", "cable_reflection"} <= {score["cause"] for score in content["scores"]["CS002"]}
-    (tmp_path / "r.html").write_text(investigation_page.draw_page(content))
+    (tmp_path / "r.html").write_text(draw_investigation(content))
     page = (tmp_path / "r.html").read_text()
     assert "antenna 7 less the others of its cable" in page
     assert "with an amplitude of" in page
@@ -387,7 +386,7 @@ def test_what_all_paths_show_together_is_told_path_by_path(tmp_path):
     labels = [figures[name].x_label for name in ("structure", "spectrum", "amounts")]
     assert labels == ["local sidereal time (h)", "frequency (MHz)", "antenna"]
     assert sum(len(one.y) for one in figures["amounts"].series) == 18
-    (tmp_path / "r.html").write_text(investigation_page.draw_page(content))
+    (tmp_path / "r.html").write_text(draw_investigation(content))
     assert told["description"] in (tmp_path / "r.html").read_text()
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from lbacal.pages.chart import Chart
 from lbacal.pages.finding import draw_finding, draw_scores, draw_sentence, draw_station, tell_finding
-from lbacal.pages.investigation import draw_page
+from lbacal.pages.report import draw_investigation
 
 MHZ = [30.0, 55.0, 80.0]
 COURSE = {"label": "date", "at": [1.0, 2.0], "observed": [0.01, None], "sigma": [0.002, 0.004], "expected": [0.0, 0.02]}
@@ -143,7 +143,7 @@ def test_the_page_of_an_investigation_holds_its_report() -> None:
         "unidentifiable": [{"cause": "lst_offset", "why": "one hour alone"}],
         "provenance": {"inputs": {"spectra": "abcd"}, "model_version": 7, "notes": {"audit": "nothing wrong"}},
     }  # fmt: skip
-    page = draw_page(content)
+    page = draw_investigation(content)
     assert page.count("<svg ") == len(draw_finding(FINDING)) * 2 + len(draw_sentence(sentence)) + 1
     for words in (
         "wrong in spectra: explained", "Station CS002: 12 paths, 400 events, 2014-01-02 to 2014-12-30",
@@ -153,4 +153,4 @@ def test_the_page_of_an_investigation_holds_its_report() -> None:
         "sha256 of spectra", "abcd", "nothing wrong",
     ):  # fmt: skip
         assert words in page, words
-    assert "wrong in S.h5:" in draw_page(content, [("file", "S.h5")])
+    assert "wrong in S.h5:" in draw_investigation(content, [("file", "S.h5")])

@@ -8,8 +8,7 @@ from lbacal_core.antenna.ideal import ShortDipole
 from lbacal_core.antenna.lofar import load_hamaker
 from lbacal_core.antenna.model import directional_response
 from lbacal_core.antenna.names import take_antenna_gain
-from lbacal_core.antenna.unfolding import effective_area, effective_heights
-from lbacal_core.data.constants import IMPEDANCE_OF_FREE_SPACE
+from lbacal_core.antenna.unfolding import effective_heights
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import parse_instrument
 
@@ -58,14 +57,6 @@ def test_a_pattern_without_a_level_and_an_export_of_a_transmitting_simulation_gi
     for name in ("hamaker", "short-dipole", "isotropic", str(path)):
         with pytest.raises(BadInputError, match="a pattern that does not give the level"):
             take_antenna_gain(CONTENT, "i.json", name, "x", is_absolute=True)
-
-
-def test_a_matched_short_dipole_in_free_space_has_three_eighths_of_lambda_squared_over_pi():
-    wavelength, length = 5.0, 0.1
-    # Radiation resistance of a short dipole; the matched load sees half of the open-circuit height.
-    resistance = 2 * np.pi / 3 * IMPEDANCE_OF_FREE_SPACE * (length / wavelength) ** 2
-    area = effective_area(np.array((length / 2) ** 2), resistance)
-    assert area == pytest.approx(3 / (8 * np.pi) * wavelength**2, rel=1e-12)
 
 
 def test_the_square_of_the_height_is_gain_times_response():

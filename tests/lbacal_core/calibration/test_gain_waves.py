@@ -4,12 +4,13 @@ import pytest
 from lbacal_core.calibration.chain_test import LARGEST_GAIN
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.calibration.gain_waves import GAIN_WAVES, GainWaves, see_gain_waves, waves_of_gain
-from lbacal_core.calibration.lines import PathLines, harmonics_at
+from lbacal_core.calibration.lines import PathLines
 from lbacal_core.calibration.singles import chain_forms
 from lbacal_core.curves.curves import CONVERGED, MISFIT
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.simulation.prior import SKY_HARMONICS
 from lbacal_core.simulation.simulation import Simulation
+from lbacal_core.sky.table import harmonics_at
 from tests import lst_waves
 
 

@@ -3,11 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.calibration.lines import PathLines, fit_lines, harmonics_at, move_lines, move_lines_by
+from lbacal_core.calibration.lines import PathLines, fit_lines, move_lines, move_lines_by
 from lbacal_core.calibration.paths import paths_of_scope, radiometer_limit, require_one_cable_each
 from lbacal_core.calibration.singles import chain_forms
 from lbacal_core.grids import Floats
 from lbacal_core.simulation.prior import SKY_HARMONICS, SkyPrior
+from lbacal_core.sky.table import harmonics_at
 
 
 def slow_lines(power: Floats, sky: Floats, model: Floats, covariances: list[Floats]) -> tuple[Floats, Floats]:

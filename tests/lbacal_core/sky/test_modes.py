@@ -9,13 +9,13 @@ from lbacal_core.antenna.lofar import load_hamaker
 from lbacal_core.antenna.model import AntennaModel, directional_response
 from lbacal_core.antenna.varied import VariedAntenna
 from lbacal_core.instrument.instrument import load_instrument
-from lbacal_core.instrument.power_unit import power_per_kelvin_sr
-from lbacal_core.sky.direct import sum_over_pixels
+from lbacal_core.instrument.matching import power_per_kelvin_sr
 from lbacal_core.sky.model import SOURCES, SkyModel, find_sources, local_direction, precess
 from lbacal_core.sky.modes import beam_multipoles, sky_power_at, sky_power_modes
 from lbacal_core.sky.names import load_sky
 from lbacal_core.sky.power import compute_sky_power, vary_sky_power
 from lbacal_core.sky.sources import add_sources, point_source_power, source_sky_power
+from validation.pixels import sum_over_pixels
 
 INSTRUMENT = load_instrument("lofar-superterp")
 LATITUDE = 52.91512

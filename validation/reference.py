@@ -19,7 +19,7 @@ from lbacal_core.causes.catalogue import ANTENNA_CAUSES, CAUSES
 from lbacal_core.causes.cause import Cause
 from service.config import Settings
 
-DOCS = Path(__file__).parents[2] / "docs"
+DOCS = Path(__file__).parents[1] / "docs"
 
 _COMMANDS = """# Commands
 Written by `./dev docs` from the commands themselves: do not edit. `lbacal COMMAND --help` says what each option means

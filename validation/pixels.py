@@ -1,4 +1,4 @@
-"""P_sky by the plain sum over the pixels of the visible sky, at one LST after the other: the oracle of `modes`."""
+"""P_sky by the plain sum over the pixels of the visible sky, one LST after the other: the oracle of `sky.modes`."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from lbacal_core.antenna.model import AntennaModel, directional_response
 from lbacal_core.grids import Floats
-from lbacal_core.instrument.power_unit import power_per_kelvin_sr
+from lbacal_core.instrument.matching import power_per_kelvin_sr
 from lbacal_core.sky.model import DATA_EPOCH, SkyModel, local_direction, precess
 
 
