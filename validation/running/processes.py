@@ -24,6 +24,8 @@ from lbacal_core.sky.table import SkyPower, write_sky_power
 from validation.running.ledger import open_factory
 
 PATIENCE_S = 120.0
+PYTHON = (sys.executable, "-m")
+"""In front of the name of a program: the one that is installed here."""
 CERTIFICATES = ssl.create_default_context()
 """Read once: each request by itself would do so again, which takes four times as long as its answer."""
 get, post = partial(httpx2.get, verify=CERTIFICATES), partial(httpx2.post, verify=CERTIFICATES)
@@ -53,7 +55,7 @@ def is_ready(url: str, page: str = "readyz") -> bool:
 
 def run_command(environment: Mapping[str, str], *arguments: str) -> str:
     """Run a command of `lbacal` to its end and return what it printed."""
-    command = [sys.executable, "-m", "lbacal", *arguments]
+    command = [*PYTHON, "lbacal", *arguments]
     done = subprocess.run(command, env=os.environ | environment, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise RuntimeError(f"lbacal {' '.join(arguments)} failed: {done.stderr}")
@@ -71,7 +73,7 @@ class Process:
         self._running = self._start()
 
     def _start(self) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-m", "lbacal", *self._arguments]
+        command = [*PYTHON, "lbacal", *self._arguments]
         with self._log.open("ab") as log:
             return subprocess.Popen(command, env=self._environment, stdout=log, stderr=log)
 
