@@ -4,10 +4,16 @@ At the end nothing that was acknowledged is missing, nothing is there twice, a t
 and the calibrations in effect are those of a calm run on the same spectra: the same versions, or C within the shift
 that a night leaves unstored. Nobody lends a hand: what was killed is only started again. A trial is forty kills, and a
 proof thirteen trials, 520 kills.
+
+In the parts `-whole` the worker computes on dask, one client more decides about a change again and again, and killed
+are also workers of dask, backups while they are written, and the server while it takes a decision. At the end every
+decision is there once, and a backup restored elsewhere holds the same.
 """
 
 from __future__ import annotations
 
+import shutil
+import subprocess
 import tempfile
 import threading
 import time
@@ -41,8 +47,19 @@ from validation.machinery.claims import Found, rate_of
 from validation.machinery.parts import Part, Row
 from validation.running.clients import Clients, Record, ask_pinned, bodies_of_events
 from validation.running.ledger import open_factory
-from validation.running.postgres import run_server
-from validation.running.processes import Service, get, is_ready, run_command, run_service, wait_until, write_coarse_sky
+from validation.running.postgres import find_binaries, run_server
+from validation.running.processes import (
+    PYTHON,
+    Process,
+    Service,
+    get,
+    is_ready,
+    run_cluster,
+    run_command,
+    run_service,
+    wait_until,
+    write_coarse_sky,
+)
 
 KILLS = 40
 CAMPAIGN = TwinSettings(stations=("CS002",), antennas=2, years=1.99, events_per_year=100)
@@ -79,15 +96,20 @@ InEffect = dict[tuple[str, ...], Told]
 """By date, station, antenna and dipole."""
 
 
-def kill_and_compare(kind: str, kills: int, seed: int) -> Row:
-    """Run on one kind of database and compare with the calm run."""
+def kill_and_compare(kind: str, kills: int, seed: int, *, is_whole: bool = False) -> Row:
+    """Run on one kind of database and compare with the calm run; if whole with dask, backups and decisions."""
     configure_logs("warning")
     with tempfile.TemporaryDirectory(prefix="lbacal-kills-") as name, open_database(kind, Path(name)) as database:
         folder = Path(name)
         spectra, calm = simulate(folder, CAMPAIGN, np.random.default_rng([20, seed])), _fit_calmly(seed)
-        record, in_effect, tags, victims = _run(folder, database, list(bodies_of_events(spectra)), kills, seed)
+        bodies, run = list(bodies_of_events(spectra)), _run_whole if is_whole else _run
+        record, in_effect, tags, victims = run(folder, database, bodies, kills, seed)
         left = _read_database(database.url)
+        restored = _read_database(back_up_and_restore(database.url, folder)) if is_whole else left
+    farthest = _find_farthest(in_effect, calm)
     checks = {
+        "every decision is there once, in its order": left.decisions == record.decisions,
+        "a backup that is restored elsewhere holds the same": restored == left,
         "every acknowledged spectrum is there, once": left.spectra == len(spectra),
         "no spectrum was reported as stored twice": record.stored <= left.spectra,
         "every acknowledged promotion is in the ledger": record.promotions <= left.ledger,
@@ -98,9 +120,8 @@ def kill_and_compare(kind: str, kills: int, seed: int) -> Row:
         "every part of what was due is done, or found its window still empty": not left.undone,
         "every due refit is enqueued once": left.due_twice == 0,
         "no version was promoted twice in a row": left.promoted_twice == 0,
-        "the calibrations in effect are those of the calm run, or as near as a night leaves them": _are_alike(
-            in_effect, calm
-        ),
+        "the calibrations in effect are those of the calm run, or as near as a night leaves them": farthest
+        <= SMALLEST_SHIFT,
     }
     return {
         "kills": kills,
@@ -111,9 +132,11 @@ def kill_and_compare(kind: str, kills: int, seed: int) -> Row:
         "promotions": len(record.promotions),
         "refits": len(record.jobs),
         "tags": len(record.tags),
+        "decisions": len(record.decisions),
         "parts_done": sum(left.parts.values()),
         "attempts": left.attempts,
         "curves_in_effect": len(in_effect),
+        "farthest_sigma": round(min(farthest, 1e9), 3),
         **({"undone": left.undone} if left.undone else {}),
     }
 
@@ -176,12 +199,12 @@ def _fit_calmly_in(folder: Path, spectra: Spectra) -> InEffect:
     return found
 
 
-def _are_alike(found: InEffect, calm: InEffect) -> bool:
-    """Whether the same paths are told the same versions, or C that differs by what a night does not store."""
-    return found.keys() == calm.keys() and all(
-        one.version == calm[path].version or _largest_shift(one, calm[path]) <= SMALLEST_SHIFT
-        for path, one in found.items()
-    )
+def _find_farthest(found: InEffect, calm: InEffect) -> float:
+    """The largest shift of any path that is told another version; infinite where others are told any."""
+    if found.keys() != calm.keys():
+        return np.inf
+    shifts = (_largest_shift(one, calm[path]) for path, one in found.items() if one.version != calm[path].version)
+    return max(shifts, default=0.0)
 
 
 def _largest_shift(one: Told, other: Told) -> float:
@@ -197,35 +220,96 @@ def _floats(values: Any) -> Floats:
     return np.array([] if values is None else values, dtype=float)
 
 
+Outcome = tuple[Record, InEffect, tuple[int, int], Counter[str]]
+"""What clients were told, what is in effect, what became of tags, and how often each was killed."""
+
+
 def _run(
-    folder: Path, database: Killable, bodies: list[dict[str, Any]], kills: int, seed: int
-) -> tuple[Record, InEffect, tuple[int, int], Counter[str]]:
-    """What clients were told, what is in effect, what became of tags, and how often each was killed."""
+    folder: Path,
+    database: Killable,
+    bodies: list[dict[str, Any]],
+    kills: int,
+    seed: int,
+    computing: Sequence[Process] = (),
+    **more: Any,
+) -> Outcome:
     # the second scheduler runs by mistake, and nobody kills it
     names = ("worker", "scheduler", "scheduler")
-    with run_service(database.url, folder, *names, sky_power=folder / SKY, **SETTINGS) as service:
+    with run_service(database.url, folder, *names, sky_power=folder / SKY, **SETTINGS, **more) as service:
         address, victims = service.address, victims_of(service, database)
         wait_until(lambda: is_ready(address), "the server")
-        clients = Clients(address, service.key, bodies, seed)
+        clients = Clients(address, service.key, bodies, seed, has_decider=bool(computing))
+        record = clients.record
+        if computing:
+            victims |= _victims_beside(service, database, record, folder)
+            victims |= {f"dask {k}": one.kill for k, one in enumerate(computing)}
         clients.start()
         rng = np.random.default_rng([21, seed])
         turns = rng.choice(sorted(victims), kills).tolist()
         for name in turns:
             time.sleep(float(rng.uniform(0.1, 1.5)))
-            if name == "worker":
+            if name == "worker" or name.startswith("dask"):
                 wait_until(lambda: _is_at_work(address), "the worker to be at work")
             victims[name]()
-        record = clients.record
         wait_until(lambda: len(record.acknowledged) == len(bodies), "every event to be acknowledged")
         clients.stop()
         end_the_night(service, lambda: _stays_idle(address))
         return record, _read_in_effect(address), _compare_tags(address, record), Counter(turns)
 
 
+def _run_whole(folder: Path, database: Killable, bodies: list[dict[str, Any]], kills: int, seed: int) -> Outcome:
+    """Run with a cluster of two workers, backups and decisions."""
+    with run_cluster(folder, 2) as (address, workers):
+        return _run(folder, database, bodies, kills, seed, workers, dask=address)
+
+
 def victims_of(service: Service, database: Killable) -> dict[str, Callable[[], None]]:
     """How to kill the server, the worker, the scheduler, and the database where it has a server."""
     victims: dict[str, Callable[[], None]] = {process.name: process.kill for process in service.processes[:3]}
     return victims if database.kill is None else victims | {"database": database.kill}
+
+
+def _victims_beside(
+    service: Service, database: Killable, record: Record, folder: Path
+) -> dict[str, Callable[[], None]]:
+    """How to kill a backup while it is written, and the server while it decides."""
+    server, target = service.processes[0], folder / "backup"
+
+    def kill_backup() -> None:
+        target.mkdir(exist_ok=True)
+        command, silent = backing_up(database.url, target / "killed"), subprocess.DEVNULL
+        with subprocess.Popen(command, stdout=silent, stderr=silent) as backup:
+            wait_until(lambda: any(target.iterdir()) or backup.poll() is not None, "a backup to be written")
+            backup.kill()
+        shutil.rmtree(target)
+
+    def kill_decision() -> None:
+        wait_until(record.is_deciding.is_set, "a decision to be taken")
+        server.kill()
+
+    return {"backup": kill_backup, "decision": kill_decision}
+
+
+def backing_up(url: str, output: Path) -> list[str]:
+    """The command of docs/how-to/keep-the-service.md that copies a database into a file."""
+    if "://" not in url:
+        # the url reaches the command as a setting, which stands in the place of a word of it
+        return ["env", f"LBACAL_DATABASE_URL={url}", *PYTHON, "lbacal", "db", "backup", str(output)]
+    return [str((find_binaries() or Path()) / "pg_dump"), "--format=custom", f"--file={output}", url]
+
+
+def back_up_and_restore(url: str, folder: Path) -> str:
+    """Back a database up, and restore it in an empty one; its URL."""
+    output = folder / "restored.sqlite"
+    subprocess.run(backing_up(url, output), check=True, stdout=subprocess.DEVNULL)
+    if "://" not in url:
+        return str(output)
+    restored = url.replace("/kills?", "/restored?")
+    with psycopg.connect(url, autocommit=True) as connection:
+        connection.execute("CREATE DATABASE restored")
+    command = [str((find_binaries() or Path()) / "pg_restore"), "--exit-on-error", "--no-owner", f"--dbname={restored}"]
+    subprocess.run([*command, str(output)], check=True)
+    return restored
 
 
 def _is_at_work(address: str) -> bool:
@@ -288,6 +372,7 @@ class Left:
     attempts: int
     done: set[int]
     undone: list[str]
+    decisions: list[str]
     due_twice: int
     promoted_twice: int
 
@@ -314,6 +399,9 @@ def _read_database(url: str) -> Left:
             attempts=int(rows("SELECT sum(attempts) FROM job_part")[0][0]),
             done={row[0] for row in rows(DONE)},
             undone=[" ".join(map(str, row)) for row in rows(UNDONE)],
+            decisions=[
+                row[0] for row in rows("SELECT reason FROM change_decision WHERE reason <> 'proof' ORDER BY id")
+            ],
             due_twice=len(rows(DUE_TWICE)),
             promoted_twice=twice,
         )
@@ -323,12 +411,13 @@ def _read_database(url: str) -> Left:
 
 PARTS = tuple(
     Part(
-        kind,
-        partial(kill_and_compare, kind, KILLS),
+        f"{kind}{suffix}",
+        partial(kill_and_compare, kind, KILLS, is_whole=bool(suffix)),
         judge,
-        13,
+        count,
         headlines=("broken",) if kind == "postgresql" else (),
         is_parallel=False,
     )
+    for suffix, count in (("", 13), ("-whole", 3))
     for kind in ("sqlite", "postgresql")
 )

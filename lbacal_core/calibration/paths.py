@@ -17,7 +17,7 @@ from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.spectra.blocks import SpectraBlock, iterate_blocks, split_into_blocks
+from lbacal_core.spectra.blocks import SpectraBlock, iterate_blocks
 from lbacal_core.spectra.screening import leave_out
 from lbacal_core.spectra.spectra import Spectra
 
@@ -123,12 +123,15 @@ def paths_of_scope(
         for block in iterate_blocks(spectra):
             yield partial(_paths_of_block, block, simulation, typical, smallest, fit)
         return
-    blocks = split_into_blocks(spectra)
-    groups = {(block.station if scope == "station" else None, block.dipole) for block in blocks}
-    for station, dipole in sorted(groups, key=lambda key: (key[0] or "", key[1])):
-        members = [b for b in blocks if b.dipole == dipole and station in (None, b.station)]
-        others = elsewhere((station, None, dipole))
-        yield partial(_mean_path, members, simulation, station, cable_of, others, typical, smallest, fit)
+    for station in spectra.key_codes["station"][0].tolist() if scope == "station" else [None]:
+        is_own = np.ones(len(spectra), dtype=bool) if station is None else spectra.station == station
+        for dipole in np.unique(spectra.dipole[is_own]).tolist():
+            events = np.unique(spectra.event_id[is_own & (spectra.dipole == dipole)])
+            blocks = iterate_blocks(spectra, station, dipole)
+            owner = (station, None, dipole)
+            yield partial(
+                _mean_path, blocks, events, simulation, owner, cable_of, elsewhere(owner), typical, smallest, fit
+            )
 
 
 def radiometer_limit(spectra: Spectra) -> float:
@@ -168,9 +171,10 @@ def _paths_of_block(
 
 
 def _mean_path(
-    blocks: list[SpectraBlock],
+    blocks: Iterator[SpectraBlock],
+    events: NDArray[np.str_],
     simulation: Simulation,
-    station: str | None,
+    owner: Owner,
     cable_of: Cables,
     elsewhere: Sequence[MemberLines],
     typical_blocks: float,
@@ -189,10 +193,8 @@ def _mean_path(
     A path with too many anomalous spectra takes part in no event; where other windows have its lines it is a member all
     the same. Where most have too many, they are what the station records, and are averaged.
     """
-    events = np.unique(np.concatenate([block.event_id for block in blocks]))
-    dipole = blocks[0].dipole
-    channels = blocks[0].frequency_mhz.size
-    mean = MeanOfEvents(events.size, channels)
+    station, _, dipole = owner
+    mean = MeanOfEvents(events.size, simulation.instrument.frequency_mhz.size)
     lst_hours, time_unix = np.zeros((2, events.size))
     anomalies: list[Anomaly] = []
     found: list[MemberLines] = []
@@ -226,7 +228,7 @@ def _mean_path(
     unit = float(np.median(relative_variance[has_data])) if np.any(has_data) else 1.0
     relative_variance /= unit
     return Paths(
-        owners=[(station, None, dipole)],
+        owners=[owner],
         power=power[None],
         relative_variance=relative_variance[None],
         lst_hours=lst_hours,

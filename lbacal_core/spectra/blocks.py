@@ -55,14 +55,17 @@ def split_into_blocks(spectra: Spectra) -> list[SpectraBlock]:
     return list(iterate_blocks(spectra))
 
 
-def iterate_blocks(spectra: Spectra) -> Iterator[SpectraBlock]:
-    """The blocks of `split_into_blocks` one by one: a year of an array need not be in memory twice."""
+def iterate_blocks(spectra: Spectra, station: str | None = None, dipole: str | None = None) -> Iterator[SpectraBlock]:
+    """The blocks of `split_into_blocks` one by one: a year of an array need not be in memory twice.
+
+    With a station or a dipole those of it alone.
+    """
     (stations, station_at), (dipoles, dipole_at) = spectra.key_codes["station"], spectra.key_codes["dipole"]
-    for s, station in enumerate(stations):
-        for d, dipole in enumerate(dipoles):
+    for s, name in enumerate(stations.tolist()):
+        for d, letter in enumerate(dipoles.tolist()):
             rows = np.flatnonzero((station_at == s) & (dipole_at == d))
-            if rows.size:
-                yield _block_of_rows(spectra, rows, str(station), str(dipole))
+            if rows.size and station in (None, name) and dipole in (None, letter):
+                yield _block_of_rows(spectra, rows, name, letter)
 
 
 def _block_of_rows(spectra: Spectra, rows: NDArray[np.int64], station: str, dipole: str) -> SpectraBlock:

@@ -27,6 +27,14 @@ def test_four_kills_lose_nothing_and_change_nothing(kind: str) -> None:
     assert row["tags"] > 0
 
 
+@pytest.mark.long
+def test_kills_among_dask_workers_backups_and_decisions_lose_nothing(kind: str) -> None:
+    """The suite's small instance of the parts `-whole`."""
+    row = kill_and_compare(kind, kills=6, seed=1, is_whole=True)
+    assert row["broken"] == [], row
+    assert row["decisions"] > 0
+
+
 def test_480_kills_without_a_broken_promise_show_that_fewer_than_one_in_a_hundred_breaks_one() -> None:
     whole, broken = {"kills": 40, "broken": []}, {"kills": 40, "broken": ["a claim"]}
     for rows, verdict in (([whole] * 12, "shown"), ([whole] * 2, "undecided"), ([broken] * 10, "refuted")):

@@ -7,6 +7,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import cycle
 from typing import Any
 
 import httpx2
@@ -17,6 +18,8 @@ from lbacal_core.spectra.spectra import Spectra
 
 WRITERS = 4
 QUEUED = 6
+CHANGED = {"paths": [{"station": "CS002", "antenna": 0, "dipole": "X"}], "at": {"value": "2014-10-01"}}
+"""What is entered as a step that a person knows of, in the middle of a year."""
 PINNED_AT = "2014-07-01"
 """The date about which a tag is asked when it is made, and again at the end."""
 
@@ -29,6 +32,10 @@ class Record:
     ----------
     tags
         Name of each acknowledged tag: its instant, and the answer about a path as of then (status and ETag).
+    decisions
+        The reasons of the decisions about a change that were acknowledged, in their order.
+    is_deciding
+        Set while the answer to one is waited for.
     """
 
     acknowledged: set[str] = field(default_factory=set)
@@ -36,6 +43,8 @@ class Record:
     promotions: set[int] = field(default_factory=set)
     jobs: set[int] = field(default_factory=set)
     tags: dict[str, tuple[str, tuple[int, str] | None]] = field(default_factory=dict)
+    decisions: list[str] = field(default_factory=list)
+    is_deciding: threading.Event = field(default_factory=threading.Event)
     answers: Counter[int] = field(default_factory=Counter)
     lock: threading.Lock = field(default_factory=threading.Lock)
 
@@ -52,12 +61,16 @@ class Record:
 
 @dataclass
 class Clients:
-    """Four writers, a promoter, one who tags and one who asks for fits; each repeats what nobody answered."""
+    """Four writers, a promoter, one who tags and one who asks for fits; each repeats what nobody answered.
+
+    With `has_decider` another enters a change, and dismisses it and puts it in force by turns.
+    """
 
     address: str
     key: str
     bodies: Sequence[dict[str, Any]]
     seed: int
+    has_decider: bool = False
     record: Record = field(default_factory=Record)
     _is_over: threading.Event = field(default_factory=threading.Event)
     _threads: list[threading.Thread] = field(default_factory=list)
@@ -65,7 +78,7 @@ class Clients:
     def start(self) -> None:
         """Begin."""
         deeds: list[Callable[[httpx2.Client], None]] = [self._promote, self._tag, self._refit]
-        deeds += [self._writer(k) for k in range(WRITERS)]
+        deeds += [self._writer(k) for k in range(WRITERS)] + [self._decide] * self.has_decider
         self._threads = [threading.Thread(target=self._work, args=(deed,), daemon=True) for deed in deeds]
         for thread in self._threads:
             thread.start()
@@ -143,6 +156,32 @@ class Clients:
             as_of = answer.json()["as_of"]
             with self.record.lock:
                 self.record.tags[name] = as_of, ask_pinned(http, as_of)
+
+    def _decide(self, http: httpx2.Client) -> None:
+        """Enter a change, then dismiss it and put it in force by turns; dismissed it is left."""
+        entered = self._insist(http, "/v1/changes", {**CHANGED, "reason": "proof"}, {"Idempotency-Key": "change"})
+        address = f"/v1/changes/{entered.json()['id']}/decision"
+        for act, decision in enumerate(cycle(("dismissed", "in_force"))):
+            self.record.is_deciding.set()
+            self._insist(http, address, {"decision": decision, "reason": f"act {act}"})
+            self.record.is_deciding.clear()
+            self.record.decisions.append(f"act {act}")
+            if self._is_over.wait(0.3) and decision == "dismissed":
+                return
+
+    def _insist(
+        self, http: httpx2.Client, address: str, body: dict[str, Any], headers: dict[str, str] | None = None
+    ) -> httpx2.Response:
+        """Repeat what nobody answered; where a conflict is the answer then, it was done."""
+        while True:
+            try:
+                answer = http.post(address, json=body, headers=headers)
+            except httpx2.TransportError:
+                time.sleep(0.1)
+                continue
+            if self._note(answer) or answer.status_code == 409:
+                return answer
+            time.sleep(0.1)
 
     def _refit(self, http: httpx2.Client) -> None:
         """Keep the worker busy with refits of windows of 14 months, so that kills find it at work."""

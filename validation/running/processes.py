@@ -24,6 +24,8 @@ from lbacal_core.sky.table import SkyPower, write_sky_power
 from validation.running.ledger import open_factory
 
 PATIENCE_S = 120.0
+PYTHON = (sys.executable, "-m")
+"""In front of the name of a program: the one that is installed here."""
 CERTIFICATES = ssl.create_default_context()
 """Read once: each request by itself would do so again, which takes four times as long as its answer."""
 get, post = partial(httpx2.get, verify=CERTIFICATES), partial(httpx2.post, verify=CERTIFICATES)
@@ -53,7 +55,7 @@ def is_ready(url: str, page: str = "readyz") -> bool:
 
 def run_command(environment: Mapping[str, str], *arguments: str) -> str:
     """Run a command of `lbacal` to its end and return what it printed."""
-    command = [sys.executable, "-m", "lbacal", *arguments]
+    command = [*PYTHON, "lbacal", *arguments]
     done = subprocess.run(command, env=os.environ | environment, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise RuntimeError(f"lbacal {' '.join(arguments)} failed: {done.stderr}")
@@ -61,19 +63,18 @@ def run_command(environment: Mapping[str, str], *arguments: str) -> str:
 
 
 class Process:
-    """A command of `lbacal` that runs until it is stopped; killed, it can be started anew."""
+    """A command of `lbacal`, or of another program, that runs until it is stopped; killed, it can be started anew."""
 
-    def __init__(self, environment: Mapping[str, str], log: Path, *arguments: str) -> None:
+    def __init__(self, environment: Mapping[str, str], log: Path, *arguments: str, program: str = "lbacal") -> None:
         self.name = arguments[0]
-        self._arguments = arguments
+        self._command = [*PYTHON, program, *arguments]
         self._environment = os.environ | environment
         self._log = log
         self._running = self._start()
 
     def _start(self) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-m", "lbacal", *self._arguments]
         with self._log.open("ab") as log:
-            return subprocess.Popen(command, env=self._environment, stdout=log, stderr=log)
+            return subprocess.Popen(self._command, env=self._environment, stdout=log, stderr=log)
 
     @property
     def number(self) -> int:
@@ -116,6 +117,23 @@ def make_key(database_url: str, scope: str) -> str:
     """A new key, of a database that has its schema then: made in this process, since to start one takes seconds."""
     with open_factory(database_url) as factory:
         return factory.keys.create((scope,))[1]
+
+
+@contextmanager
+def run_cluster(folder: Path, workers: int) -> Iterator[tuple[str, Sequence[Process]]]:
+    """Run a scheduler of dask and workers of one thread on loopback; its address, and the workers."""
+    port = find_free_port()
+    address = f"tcp://127.0.0.1:{port}"
+    more = ("--no-dashboard", "--local-directory", str(folder))
+    log = folder / "dask.log"
+    scheduler = Process({}, log, "scheduler", "--host", "127.0.0.1", "--port", str(port), more[0], program="dask")
+    # without a nanny: whoever kills a worker starts it anew
+    begun = [
+        Process({}, log, "worker", address, "--nthreads", "1", "--no-nanny", *more, program="dask")
+        for _ in range(workers)
+    ]
+    with running(*begun, scheduler):
+        yield address, begun
 
 
 @dataclass(frozen=True)

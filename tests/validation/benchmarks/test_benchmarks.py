@@ -8,11 +8,13 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
+import psycopg
 import pytest
 from fastapi import FastAPI
 from sqlalchemy import NullPool, create_engine, func, select
 
 from lbacal_core.calibration.fit import fit_calibration
+from lbacal_core.curves.validity import Scope
 from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.blocks import split_into_blocks
@@ -21,6 +23,8 @@ from service.factory import Factory
 from service.schema.tables import spectrum
 from validation.benchmarks.fit import OnePath, farthest, make_scene, make_spectra
 from validation.benchmarks.ingest import BulkPostgres, BulkSqlite
+from validation.benchmarks.partitions import event_of, load, part_by_year
+from validation.benchmarks.partitions import fill as fill_years
 from validation.benchmarks.reads import ALL, ONE, add_same, compare_a_year, fill, get
 from validation.fit import Scene
 from validation.growth import PATHS
@@ -75,6 +79,25 @@ def test_a_bulk_load_stores_each_spectrum_once(kind: str, make: type, request: p
             bulk.load([(path, event, 0, 100, bytes(8)) for event in range(events) for path in range(3)])
             assert count(factory) == 3 * events
         bulk.close()
+
+
+@pytest.mark.usefixtures("needs_postgres")
+def test_spectra_in_one_table_are_those_by_year() -> None:
+    found = []
+    with open_databases("postgresql", "whole", "parted") as urls:
+        for url in urls:
+            with open_factory(url) as factory:
+                if found:
+                    with psycopg.connect(url, autocommit=True) as connection:
+                        part_by_year(connection)
+                fill_years(url, 1, 2)
+                with factory.database.write() as stores:
+                    assert stores.spectra.add(event_of("S1", 1, 0)) == 96
+                    assert stores.spectra.add(event_of("S1", 1, 0)) == 0
+                spectra = load(factory.database, Scope("S1"))
+                assert spectra is not None
+                found.append((len(spectra), spectra.digest()))
+    assert found[0] == found[1] == (3 * 96, found[0][1])
 
 
 def read(app: FastAPI, address: str) -> bytes:
