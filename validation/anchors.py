@@ -23,6 +23,8 @@ SCATTERS = np.linspace(0.0, 0.3, 121)
 """Scatter between families in ln T, beyond the stated errors, over which the result is averaged."""
 SHARE_OF_SCATTER = 0.5
 """Its half-normal prior, as a share of the error of the sky's level."""
+SLOPE = 0.3
+"""Spectral index: those of sky models differ by less; experiments at one frequency would be degenerate without it."""
 
 
 @dataclass(frozen=True)
@@ -119,12 +121,11 @@ def stack_anchors(anchors: Sequence[Anchor], base: SkyModel) -> tuple[Floats, Fl
 def _solve(ratio: Floats, design: Floats, covariance: Floats) -> tuple[Floats, Floats, float]:
     """Level and slope, their covariance, and ln of the likelihood with both integrated out."""
     weight = invert_symmetric(covariance)
-    slope_prior = read_prior()["sky_slope"].size
-    precision = design.T @ weight @ design + np.diag([0.0, slope_prior**-2])
+    precision = design.T @ weight @ design + np.diag([0.0, SLOPE**-2])
     inverse = invert_symmetric(precision)
     mean = inverse @ (design.T @ weight @ ratio)
     left = ratio - design @ mean
-    chi2 = left @ weight @ left + (mean[1] / slope_prior) ** 2
+    chi2 = left @ weight @ left + (mean[1] / SLOPE) ** 2
     log_determinants = np.linalg.slogdet(covariance)[1] + np.linalg.slogdet(precision)[1]
     return mean, inverse, float(-0.5 * (chi2 + log_determinants))
 

@@ -233,15 +233,26 @@ class Calibrations:
             asked, answers, held = self._look_around(at, paths, as_of, hold=hold)
         names = (str(promotion.calibration) for promotion in answers.values())
         versions = self.versions.get_many(names, lambda ids: self.database.look(lambda s: s.versions.get_many(ids)))
-        answers = {path: said for path, said in answers.items() if versions[str(said.calibration)].serves(path.dipole)}
-        if not answers:
-            raise NotInEffectError(f"{name_path(*paths[0].parts)}: the mean in effect has no curve of this dipole")
+        lacking = [path for path, said in answers.items() if not versions[str(said.calibration)].serves(path.dipole)]
+        if lacking:  # a station of which only the other dipole was recorded
+            array = self.database.look(lambda s: s.ledger.decisive([Scope()], at, as_of)).get(Scope())
+            name = None if array is None else array.calibration
+            of_array = {} if name is None else self.database.look(lambda s: s.versions.get_many([name]))
+            versions |= of_array
+            for path in lacking:
+                said = answers.pop(path)
+                if array is not None and any(one.serves(path.dipole) for one in of_array.values()):
+                    answers[path], asked[path] = array, [said, array]
+            if not answers:
+                dipole = name_path(*lacking[0].parts)
+                raise NotInEffectError(f"{dipole}: the mean that is in effect has no curve of this dipole")
         named = (name for version in versions.values() for name in version.budgets)
         budgets = self.budgets.get_many(named, lambda ids: self.database.look(lambda s: s.budgets.get_texts(ids)))
 
         def list_curves(path: Scope, promotion: Promotion) -> Iterator[CurveInEffect]:
             """The curve that a path is served; of an array that was asked for by itself, those of its chains."""
-            version, trace, is_held = versions[str(promotion.calibration)], tuple(asked[path]), path in held
+            version, trace = versions[str(promotion.calibration)], tuple(asked[path])
+            is_held = promotion == held.get(path)
             changed, epoch = _find_change(promotion, of_antenna), _find_epoch(path, at, of_antenna)
             slow = find_slow(promotion.scope, of_antenna)
             told, step = (promotion, is_held, trace), at // SLOW_STEP_US

@@ -86,8 +86,13 @@ def test_a_mean_without_a_dipole_does_not_answer_for_it(client: TestClient, stor
     assert ask(client, **PATH).status_code == 200
     refused = ask(client, **PATH | {"dipole": "Y"})
     assert refused.status_code == 404
-    assert refused.json()["detail"] == "CS001 antenna 0 Y: the mean in effect has no curve of this dipole"
+    assert refused.json()["detail"] == "CS001 antenna 0 Y: the mean that is in effect has no curve of this dipole"
     assert len(ask(client, station="CS001").json()["curves"]) == 3
+    promote(client, stored["array"], "2014-01-01")
+    (answer,) = ask(client, **PATH | {"dipole": "Y"}).json()["curves"]
+    assert (answer["answered_by"], [one["scope"] for one in answer["trace"]]) == ("array", ["station", "array"])
+    of_station = ask(client, station="CS001").json()["curves"]
+    assert {(one["dipole"], one["answered_by"]) for one in of_station} == {("X", "station"), ("Y", "array")}
 
 
 def test_a_station_has_all_its_paths_and_no_station_all_paths(client: TestClient, stored: Stored) -> None:
