@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from lbacal.engine import HERE, Engine, Result
 from lbacal.instants import SECOND_US, format_instant
-from lbacal_core.audit.audit import QuickAudit, audit_quickly
+from lbacal_core.audit.audit import audit_quickly
 from lbacal_core.calibration.budget import add_budget, compute_budget
 from lbacal_core.calibration.continued import Continued, continue_fit
 from lbacal_core.calibration.separable import solve_separable
@@ -309,13 +309,16 @@ class Fits:
             yield _versions(recorded, report, during, made, named, beside, instrument), report, during
 
     def _require_power(self, fitted: FittedCauses, wanted: Wanted) -> None:
-        """Refuse spectra whose unit is not that of power."""
+        """Refuse spectra whose unit is not that of power, looking at one station after the other."""
+        recorded, instrument = fitted.recorded, self.simulation.instrument
+        for station in recorded.key_codes["station"][0].tolist():
+            own = recorded.select(recorded.station == station)
 
-        def look() -> QuickAudit:
-            return audit_quickly(fitted.recorded, self.simulation.instrument)
+            def look(own: Spectra = own) -> bool:
+                audit_quickly(own, instrument).require_power(f"spectra of {name_path(*wanted.of.parts)}")
+                return True
 
-        audited = self.simulation.made.get(("unit", fitted.recorded.digest()), look)
-        audited.require_power(f"spectra of {name_path(*wanted.of.parts)}")
+            self.simulation.made.get(("unit", own.digest()), look)
 
     def _budget(self, fitted: FittedCauses) -> Budget:
         """The budget of some spectra: one for all scopes that are fitted to them."""
