@@ -234,18 +234,16 @@ class Calibrations:
         names = (str(promotion.calibration) for promotion in answers.values())
         versions = self.versions.get_many(names, lambda ids: self.database.look(lambda s: s.versions.get_many(ids)))
         lacking = [path for path, said in answers.items() if not versions[str(said.calibration)].serves(path.dipole)]
-        if lacking:  # a station of which only the other dipole was recorded
-            array = self.database.look(lambda s: s.ledger.decisive([Scope()], at, as_of)).get(Scope())
-            name = None if array is None else array.calibration
-            of_array = {} if name is None else self.database.look(lambda s: s.versions.get_many([name]))
+        if lacking:
+            array, of_array = self._ask_array(at, as_of)
             versions |= of_array
             for path in lacking:
-                said = answers.pop(path)
-                if array is not None and any(one.serves(path.dipole) for one in of_array.values()):
-                    answers[path], asked[path] = array, [said, array]
+                asked[path] = [*asked[path], *array]
+                del answers[path]
+                answers.update((path, one) for one in array if of_array[str(one.calibration)].serves(path.dipole))
             if not answers:
-                dipole = name_path(*lacking[0].parts)
-                raise NotInEffectError(f"{dipole}: the mean that is in effect has no curve of this dipole")
+                name = name_path(*lacking[0].parts)
+                raise NotInEffectError(f"{name}: the mean that is in effect has no curve of this dipole")
         named = (name for version in versions.values() for name in version.budgets)
         budgets = self.budgets.get_many(named, lambda ids: self.database.look(lambda s: s.budgets.get_texts(ids)))
 
@@ -267,6 +265,13 @@ class Calibrations:
 
         curves = [curve for path in paths if path in answers for curve in list_curves(path, answers[path])]
         return InEffect(at, curves, [path for path in paths if path not in answers], budgets)
+
+    def _ask_array(self, at: Instant, as_of: Instant | None) -> tuple[list[Promotion], dict[str, Version]]:
+        """Ask the array for what a station's mean lacks, of which only the other dipole was recorded."""
+        said = self.database.look(lambda s: s.ledger.decisive([Scope()], at, as_of))
+        answers = [one for one in said.values() if one.calibration is not None]
+        names = [str(one.calibration) for one in answers]
+        return answers, self.database.look(lambda s: s.versions.get_many(names))
 
     def _look_around(
         self, at: Instant, paths: Sequence[Scope], as_of: Instant | None, *, hold: bool

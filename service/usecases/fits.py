@@ -555,7 +555,7 @@ def keep_told(
             ],
         )
         for piece in pieces
-        if piece.told or not own.intersection(*(one.owners for one in piece.lines))
+        if piece.told or own.isdisjoint(owner for one in piece.lines for owner in one.owners)
     ]
     now += renewed
     stores.sums.put(replace(block, arrays=write_pieces(now)), name_pieces(now))
