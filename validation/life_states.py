@@ -433,7 +433,10 @@ class Life(RuleBasedStateMachine):
     def withdraw(self, data: Any, is_night: bool) -> None:
         """Withdraw what a scope has in a year."""
         scope, _ = data.draw(st.sampled_from(SCOPES[:-2]))
-        year = data.draw(st.sampled_from(YEARS))
+        self.take_away(scope, data.draw(st.sampled_from(YEARS)), is_night=is_night)
+
+    def take_away(self, scope: Scope, year: int, *, is_night: bool) -> None:
+        """Withdraw what a scope has in a year."""
         body = {
             "calibration": None, "station": scope.station, "antenna": scope.antenna, "dipole": scope.dipole,
             "valid_from": f"{year}-01-01", "valid_to": f"{year + 1}-01-01", "reason": WHY,

@@ -66,7 +66,7 @@ class Watch:
             stores.drift.keep_report(str(inputs), report, now)
             news = tell_news(report, self.instrument.frequency_mhz, cuts_windows=self.cuts_windows)
             stores.alarms.settle((STEP, SLOPE), list(news), now)
-            settle_changes(stores, report if self.cuts_windows else {"changes": []}, now)
+            settle_changes(stores, report if self.cuts_windows else {"changes": []}, _list_measured(years), now)
             stores.jobs.complete(part, worker, {"calibrations": []}, now)
 
     def _report(self, years: Sequence[Sums]) -> dict[str, Any]:
@@ -106,11 +106,24 @@ def assemble_history(years: Sequence[Sums], changes: Mapping[tuple[str, int], Se
     return History(station, antenna.astype(np.int64), dipole, time_unix, ln_c, known)
 
 
-def settle_changes(stores: Stores, report: Mapping[str, Any], now: Instant) -> None:
-    """Note what drift found, and end what it no longer finds.
+def _list_measured(years: Sequence[Sums]) -> set[Scope]:
+    """The paths of which drift has events."""
+    from service.usecases.drift_measurement import read_events
 
-    A step does not end because an adopted cause takes it up: the cause may be withdrawn. A slow change does: C would
-    follow it twice.
+    return {
+        Scope(one.scope.station, antenna, letter)
+        for one in years
+        for letter, modes in read_events(one.arrays).items()
+        for antenna in modes.antennas.tolist()
+    }
+
+
+def settle_changes(stores: Stores, report: Mapping[str, Any], measured: set[Scope], now: Instant) -> None:
+    """Note what drift found, and end what it no longer finds in paths that are measured.
+
+    A path whose C was withdrawn has nothing that drift could be measured against: what was found in it stays. A step
+    does not end because an adopted cause takes it up: the cause may be withdrawn. A slow change does: C would follow it
+    twice.
     """
     found = [
         (change, max(float(member["significance"]) for member in one["members"]), bool(one["is_known"]))
@@ -123,7 +136,9 @@ def settle_changes(stores: Stores, report: Mapping[str, Any], now: Instant) -> N
         change = kept.change
         is_slow = change.kind in (RAMP, SEASON)
         is_sought = is_slow or stores.models.during(change.station, change.date, change.date + 1).is_plain
-        if is_sought and not any(change.is_same(one) for one, *_ in found):
+        paths = [Scope(change.station, *path) for path in change.paths]
+        is_measured = not paths or not measured.isdisjoint(paths)
+        if is_sought and is_measured and not any(change.is_same(one) for one, *_ in found):
             for source in (BY_DRIFT, RECORD):
                 stores.changes.end(kept.number, source, now)
     for change, significance, is_known in found:

@@ -5,6 +5,7 @@ from functools import partial
 
 import pytest
 
+from lbacal_core.curves.validity import Scope
 from service.storage.changes import DISMISSED, IN_FORCE
 from service.wire.bodies import DecisionBody
 from validation.life_states import Life, live
@@ -81,6 +82,13 @@ def test_a_path_lent_other_years_its_lines_without_the_month_that_had_moved_its_
 def test_a_mean_has_no_curve_of_a_dipole_whose_antennas_all_left_it(life: Life) -> None:
     life.begin({2015}, {6})
     life.enter({1, 2}, "2015-06-20", None, is_night=True)
+
+
+def test_a_change_that_was_found_in_a_path_stays_when_c_of_the_path_is_withdrawn(life: Life) -> None:
+    """Nothing was left to measure its drift against: the change was gone, and the refit undid the withdrawal."""
+    life.begin({2015}, set())
+    for dipole in "XY":
+        life.take_away(Scope("CS002", 1, dipole), 2015, is_night=True)
 
 
 def test_entering_a_change_of_two_antennas_put_one_of_two_that_were_dismissed_in_force(life: Life) -> None:
