@@ -592,7 +592,9 @@ class SpectraStore(Store):
 
     def waiting(self) -> Iterator[tuple[int, list[Instant], NDArray[np.bool_]]]:
         """The paths with spectra that wait: number, the times of all its spectra, and which wait, shape (event,)."""
-        some = select(spectrum.c.path).where(spectrum.c.far.is_not(None)).distinct()
+        some = self._connection.execute(select(spectrum.c.path).where(IS_FAR).distinct()).scalars().all()
+        if not some:
+            return  # no index is by path: asked for none, a database reads all spectra
         columns = select(spectrum.c.path, spectrum.c.time_us, spectrum.c.far).where(spectrum.c.path.in_(some))
         rows = self._connection.execute(columns.order_by(spectrum.c.path, spectrum.c.time_us)).all()
         for number, of_path in groupby(rows, key=lambda row: row.path):

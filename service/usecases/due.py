@@ -182,7 +182,9 @@ class DueWork:
         own = self._inputs
         # a cable of another antenna, or of another year, calls for nothing
         since, until = (part[name] / SECOND_US if name in part else at for name, at in ALWAYS.items())
-        of_instrument = self.simulation.instrument.digest_of(since, until, part.get("station"))
+        of = since, until, part.get("station")
+        # parts of a station's year come one after the other
+        of_instrument = self.simulation.made.get(("instrument", *of), lambda: self.simulation.instrument.digest_of(*of))
         named = {"instrument": of_instrument, "sky_power": own.sky_power, "model_version": own.model_version}
         given = [value for value in called_for.values() if value]
         due_name = hash_content([kind, part, *given, list(named.values())])

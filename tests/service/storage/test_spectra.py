@@ -226,3 +226,18 @@ def test_what_an_older_schema_holds_is_counted_by_the_upgrade(factory: Factory) 
     upgrade(factory.database)
     with factory.database.engine.connect() as connection:
         assert connection.exec_driver_sql(kept).all() == before
+
+
+def test_where_no_spectrum_waits_a_look_does_not_read_all(factory: Factory) -> None:
+    """With 1.2 million spectra that took a third of a look."""
+    add_spectra(factory, flat_spectra(*(("e", START, "CS001", antenna, "X") for antenna in range(3))))
+    asked: list[str] = []
+
+    def note(_connection: Any, _cursor: Any, statement: str, *_: Any) -> None:
+        asked.append(statement)
+
+    sqlalchemy.event.listen(sqlalchemy.Engine, "before_cursor_execute", note)
+    with factory.database.read() as stores:
+        assert list(stores.spectra.waiting()) == []
+    sqlalchemy.event.remove(sqlalchemy.Engine, "before_cursor_execute", note)
+    assert ["far IS NOT NULL" in one for one in asked if "FROM spectrum" in one] == [True]
