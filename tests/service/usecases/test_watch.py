@@ -252,8 +252,8 @@ def test_later_data_move_a_date_within_its_error_and_no_window(watched: Factory)
     vague, known = {**moved, "date_sigma_days": 50.0}, {**far, "is_known": True}
     exact, later = ({**change, "date_sigma_days": 1e-3, "date_unix": STEPPED / 1e6 + 3600 * h} for h in (0, 20))
     for name, changes in (
-        ("first", [change]), ("away", []), ("moved", [moved, vague, known]), ("far", [far]), ("none", []), ("known", [known]),
-        ("exact", [exact]), ("later", [later]),
+        ("first", [change]), ("away", []), ("moved", [moved, vague, known]), ("far", [far]), ("none", []),
+        ("known", [known]), ("exact", [exact]), ("later", [later]),
     ):  # fmt: skip
         with watched.database.write() as stores:
             settle_changes(stores, {"changes": changes}, set() if name == "away" else {("CS002", 2, "X")}, 1)
