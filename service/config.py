@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cached_property
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -76,7 +75,7 @@ class Settings(BaseSettings):
                 raise PydanticCustomError("database", "a number as port in postgresql://user@host:port/name") from None
         return url
 
-    @cached_property
+    @property
     def sqlalchemy_url(self) -> str:
         """The database as SQLAlchemy names it."""
         url = self.database_url

@@ -106,19 +106,23 @@ def assemble_history(years: Sequence[Sums], changes: Mapping[tuple[str, int], Se
     return History(station, antenna.astype(np.int64), dipole, time_unix, ln_c, known)
 
 
-def _list_measured(years: Sequence[Sums]) -> set[Scope]:
-    """The paths of which drift has events."""
+Measured = set[tuple[str | None, int, str | None]]
+"""Station, antenna and dipole of paths that drift has events of; None for any dipole."""
+
+
+def _list_measured(years: Sequence[Sums]) -> Measured:
     from service.usecases.drift_measurement import read_events
 
     return {
-        Scope(one.scope.station, antenna, letter)
+        (one.scope.station, antenna, dipole)
         for one in years
         for letter, modes in read_events(one.arrays).items()
         for antenna in modes.antennas.tolist()
+        for dipole in (letter, None)
     }
 
 
-def settle_changes(stores: Stores, report: Mapping[str, Any], measured: set[Scope], now: Instant) -> None:
+def settle_changes(stores: Stores, report: Mapping[str, Any], measured: Measured, now: Instant) -> None:
     """Note what drift found, and end what it no longer finds in paths that are measured.
 
     A path whose C was withdrawn has nothing that drift could be measured against: what was found in it stays. A step
@@ -136,8 +140,7 @@ def settle_changes(stores: Stores, report: Mapping[str, Any], measured: set[Scop
         change = kept.change
         is_slow = change.kind in (RAMP, SEASON)
         is_sought = is_slow or stores.models.during(change.station, change.date, change.date + 1).is_plain
-        paths = [Scope(change.station, *path) for path in change.paths]
-        is_measured = not paths or not measured.isdisjoint(paths)
+        is_measured = not change.paths or any((change.station, *path) in measured for path in change.paths)
         if is_sought and is_measured and not any(change.is_same(one) for one, *_ in found):
             for source in (BY_DRIFT, RECORD):
                 stores.changes.end(kept.number, source, now)

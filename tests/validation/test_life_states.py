@@ -87,6 +87,7 @@ def test_a_mean_has_no_curve_of_a_dipole_whose_antennas_all_left_it(life: Life) 
 def test_a_change_that_was_found_in_a_path_stays_when_c_of_the_path_is_withdrawn(life: Life) -> None:
     """Nothing was left to measure its drift against: the change was gone, and the refit undid the withdrawal."""
     life.begin({2015}, set())
+    life.enter({0}, "2015-06-20", None, is_night=True)
     for dipole in "XY":
         life.take_away(Scope("CS002", 1, dipole), 2015, is_night=True)
 

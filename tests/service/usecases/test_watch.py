@@ -252,11 +252,11 @@ def test_later_data_move_a_date_within_its_error_and_no_window(watched: Factory)
     vague, known = {**moved, "date_sigma_days": 50.0}, {**far, "is_known": True}
     exact, later = ({**change, "date_sigma_days": 1e-3, "date_unix": STEPPED / 1e6 + 3600 * h} for h in (0, 20))
     for name, changes in (
-        ("first", [change]), ("moved", [moved, vague, known]), ("far", [far]), ("none", []), ("known", [known]),
-        ("exact", [exact]), ("later", [later]),
+        ("first", [change]), ("away", []), ("moved", [moved, vague, known]), ("far", [far]), ("none", []),
+        ("known", [known]), ("exact", [exact]), ("later", [later]),
     ):  # fmt: skip
         with watched.database.write() as stores:
-            settle_changes(stores, {"changes": changes}, 1)
+            settle_changes(stores, {"changes": changes}, set() if name == "away" else {("CS002", 2, "X")}, 1)
             dates = [] if name in ("none", "known") else [STEPPED + 40 * DAY_US if name == "far" else STEPPED]
             assert [one.date for one in stores.changes.cuts("CS002")] == dates, name
 
