@@ -268,8 +268,8 @@ class Life(RuleBasedStateMachine):
     """The life of a station."""
 
     open_service: Callable[[], Any] = staticmethod(sqlite_service)
-    count: ClassVar[list[int]] = [0, 0]
-    """Sequences and comparisons."""
+    count: ClassVar[list[int]] = [0, 0, 0]
+    """Sequences, comparisons and acts."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -296,6 +296,7 @@ class Life(RuleBasedStateMachine):
     def do(self, name: str, act: Callable[[], Any], *, is_night: bool) -> None:
         """Do something, and let nights follow or not."""
         self.acts.append(name + ("; night" if is_night else ""))
+        self.count[2] += 1
         try:
             act()
             if is_night:
@@ -502,7 +503,7 @@ def replay(stores: Stores, one: KeptChange, now: Instant, *, is_found: bool) -> 
 
 def live(number: int, sequences: int = SEQUENCES, steps: int = STEPS, open_service: Make = sqlite_service) -> Row:
     """Draw sequences by a seed, and count what they show."""
-    made = {"open_service": staticmethod(open_service), "count": [0, 0]}
+    made = {"open_service": staticmethod(open_service), "count": [0, 0, 0]}
     machine: Any = seed(number)(type("OneLife", (Life,), made))
     quiet = settings(
         max_examples=sequences, stateful_step_count=steps, database=None, deadline=None, print_blob=False,
@@ -515,7 +516,8 @@ def live(number: int, sequences: int = SEQUENCES, steps: int = STEPS, open_servi
             run_state_machine_as_test(machine, settings=quiet)
         except AssertionError as error:
             failures.append(str(error))
-    return {"sequences": machine.count[0], "compared": machine.count[1], "failures": failures}
+    sequences, compared, acts = machine.count
+    return {"sequences": sequences, "compared": compared, "acts": acts, "failures": failures}
 
 
 def judge(rows: Sequence[Row]) -> list[Found]:
