@@ -226,7 +226,7 @@ def judge_pattern(rows: Sequence[Row]) -> list[Found]:
 
 
 PARTS = (
-    Part("clean", fit_clean, judge_clean, 400, by("outside"), ("antenna",)),
+    Part("clean", fit_clean, judge_clean, 400, by("outside")),
     Part("wrong", fit_wrong, judge_wrong, 6, headlines=("X_and_Y_exchanged",)),
     Part("pattern", fit_pattern, judge_pattern, 20),
 )
