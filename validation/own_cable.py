@@ -138,6 +138,6 @@ def judge_unlike(rows: Sequence[Row]) -> list[Found]:
 
 
 PARTS = (
-    Part("superterp", partial(tell_campaign, SETTINGS), judge, 96, headlines=("own_2",)),
+    Part("superterp", partial(tell_campaign, SETTINGS), judge, 96),
     Part("unlike", tell_unlike, judge_unlike, 64, by("unlike")),
 )
