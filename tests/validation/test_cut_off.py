@@ -10,7 +10,7 @@ from validation.machinery.run import RefusedError
 @pytest.mark.long
 @pytest.mark.parametrize(("kind", "seed"), [("sqlite", 0), ("postgresql", 1)])
 def test_a_night_ends_whole_though_a_dask_worker_is_cut_off_and_killed(
-    request: pytest.FixtureRequest, kind: str, seed: int
+    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, kind: str, seed: int
 ) -> None:
     """The suite's small instance of `./dev prove cut_off`: it dies at once, or 20 s later."""
     if kind == "postgresql":
@@ -20,6 +20,7 @@ def test_a_night_ends_whole_though_a_dask_worker_is_cut_off_and_killed(
             pass
     except RefusedError as error:
         pytest.skip(str(error))
+    monkeypatch.setattr("validation.cut_off.LATEST", 1)  # on a busy machine the second worker may get no third piece
     row = compare(kind, seed)
     assert (row["broken"], row["differs"] <= 1e-10) == ([], True), row
     assert row["versions"] > row["parts"] > 6
