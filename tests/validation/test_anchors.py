@@ -5,20 +5,12 @@ import numpy as np
 import pytest
 
 from lbacal_core.antenna.ideal import ShortDipole
-from lbacal_core.sky.model import SkyModel
 from lbacal_core.sky.names import load_sky, read_sky_level
 from lbacal_core.sky.sky_terms import dipole_temperature
+from tests.uniform_sky import uniform
 from validation.anchors import Anchor, combine_anchors, predict_left_out, read_anchors
 
 NU = np.array([45.0, 60.0, 80.0])
-
-
-def uniform(kelvin: float) -> SkyModel:
-    """A sky of one brightness."""
-    multipoles = np.zeros((1, 3, 3), dtype=complex)
-    multipoles[0, 0, 0] = np.sqrt(4 * np.pi)
-    nodes = np.array([10.0, 120.0])
-    return SkyModel("uniform", nodes, np.full(2, kelvin), np.ones((2, 1)), multipoles, True, True, "a test")
 
 
 def anchor(family: str, ln_ratio: float, error: float, nu: float = 65.0) -> Anchor:

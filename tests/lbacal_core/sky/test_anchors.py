@@ -7,7 +7,6 @@ import pytest
 from lbacal_core.antenna.ideal import IsotropicAntenna, QuarterWaveDipole, ShortDipole
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import Instrument, load_instrument
-from lbacal_core.sky.model import SkyModel
 from lbacal_core.sky.names import load_sky, read_sky_level
 from lbacal_core.sky.power import compute_sky_power
 from lbacal_core.sky.sky_terms import (
@@ -18,16 +17,9 @@ from lbacal_core.sky.sky_terms import (
     sky_terms,
     zero_level_sigma_k,
 )
+from tests.uniform_sky import uniform
 
 NU = np.array([45.0, 60.0, 80.0])
-
-
-def uniform(kelvin: float) -> SkyModel:
-    """A sky of one brightness."""
-    multipoles = np.zeros((1, 3, 3), dtype=complex)
-    multipoles[0, 0, 0] = np.sqrt(4 * np.pi)
-    nodes = np.array([10.0, 120.0])
-    return SkyModel("uniform", nodes, np.full(2, kelvin), np.ones((2, 1)), multipoles, True, True, "a test")
 
 
 @pytest.mark.parametrize("antenna", [IsotropicAntenna(), ShortDipole(1.04)])
