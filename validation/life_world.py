@@ -381,7 +381,7 @@ def _solve_all(windows: Sequence[_Window], dates: Sequence[Instant]) -> list[Pie
 
 
 def _sigma(one: _Window) -> float:
-    return SIGMA / one.events**0.5
+    return float(SIGMA / one.events**0.5)
 
 
 def _lag(one: _Window, joined: Sequence[_Window]) -> float:
@@ -398,7 +398,7 @@ def _lag(one: _Window, joined: Sequence[_Window]) -> float:
         own, of_all = (1.0 - OF_ALL) / other.events, OF_ALL / total
         u = (2.0 * SMALLEST_SHIFT * _sigma(other) + own * abs(m - other.mean)) / (own + of_all)
         moved += 0.5 * of_all * u
-    return moved / _sigma(one)
+    return float(moved / _sigma(one))
 
 
 def _means(months: Sequence[Month], dipole: str, cuts: Sequence[Cut]) -> Iterator[_Window]:

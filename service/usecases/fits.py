@@ -307,6 +307,7 @@ class Fits:
                 neighbours = neighbours if budget.polarisations else ALONE
             beside = neighbours.beside(during.since, during.until)
             report = add_budget(of_piece.fit(wanted.scope, beside=[one for _, one in beside]), budget)
+            report = replace(report, lines=[_name_lines(one, named) for one in report.lines])
             neighbours = neighbours.and_also(KeptPiece(during.since, during.until, report.lines))
             yield _versions(recorded, report, during, made, named, beside, instrument), report, during
 
@@ -376,6 +377,13 @@ def _name_sizes(whole: FittedCauses, wanted: Wanted, neighbours: Neighbours) -> 
         return named
     of_sizes = {"model_spectra": whole.recorded.digest()} if wanted.scope == "antenna" else {}
     return {**named, "environment": hash_covariates(whole.recorded), **of_sizes}
+
+
+def _name_lines(lines: KeptLines, named: Mapping[str, str]) -> KeptLines:
+    """The lines of a mean under another name where changes are taken out: the same spectra lend other lines then."""
+    if "changes" not in named:
+        return lines
+    return replace(lines, spectra=np.array([hash_content([one, named["changes"]]) for one in lines.spectra.tolist()]))
 
 
 def _versions(
