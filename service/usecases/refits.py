@@ -307,9 +307,11 @@ def _confirm(
 def _find_again(stores: Stores, new: Version, in_effect: Version | None, *, is_any: bool) -> Examined | None:
     """The fit as a confirmation of the last other that answered in its window, of any or of the same spectra."""
     promotions = stores.ledger.of_interval(new.scope, *new.window, MOST_RECALLED)
-    then = stores.versions.get_many([str(one.calibration) for one in promotions])
-    names = [] if new.id in then else [str(one.calibration) for one in promotions]
-    others = [then[name] for name in names if in_effect is None or name != in_effect.id]
+    names = dict.fromkeys(str(one.calibration) for one in promotions)
+    if in_effect is not None:
+        names.pop(in_effect.id, None)
+    then = {} if new.id in names else stores.versions.get_many(names)
+    others = [then[name] for name in names if name in then]
     alike = [one for one in others if is_any or one.inputs["spectra"] == new.inputs["spectra"]]
     return next((one for version in alike if (one := _examine(new, version))), None)
 
