@@ -222,7 +222,7 @@ class Cache:
         )  # fmt: skip
         if not curves:
             sentence = f"no calibration is in effect for {asked.name} at {format_instant(asked.at)} in {snapshot.tag}"
-            raise RefusedError(NOT_FOUND, "not_in_effect", sentence)
+            raise RefusedError(NOT_FOUND, "not_in_effect", f"{sentence}; a server knows the nearest (gap=hold)")
         return {
             "at": format_instant(asked.at),
             "as_of": snapshot.as_of,

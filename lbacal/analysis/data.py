@@ -256,7 +256,7 @@ def simulate(
     seed: int = 1,
     stations: Sequence[str] | None = None,
 ) -> BackgroundSpectra:
-    """A simulated year of an instrument's spectra, to try things on: noise as LOFAR's, events at random times.
+    """A simulated year of an instrument's spectra, to try things on: noise and A(nu) are LOFAR's, times are random.
 
     Parameters
     ----------

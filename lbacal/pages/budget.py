@@ -64,5 +64,5 @@ def _stack_terms(budget: Budget, polarisation: str) -> Chart:
         for k, (name, low, high) in enumerate(zip(parts, ends[:-1], ends[1:], strict=True), start=1)
     ]
     series.append(Series(LINE, budget.frequency_mhz, ends[-1], name="total"))
-    title, label = f"polarisation {polarisation}", "systematic error of C (%), in quadrature"
+    title, label = f"polarisation {polarisation}, added in quadrature", "systematic error of C (%)"
     return Chart(title, FREQUENCY, label, series, y_limits=above_zero(series))
