@@ -47,7 +47,7 @@ def describe_best(frequency_mhz: Floats, terms: Sequence[BudgetTerm]) -> str:
 
 
 def draw_budget(shared: Budget, terms: Sequence[BudgetTerm]) -> list[Chart]:
-    """The terms of each polarisation against frequency, and how large each is over the band."""
+    """Charts of the terms against frequency, one a polarisation, and one of how large each is over the band."""
     budget = Budget(shared.frequency_mhz, tuple(terms))
     return [*(_stack_terms(budget, polarisation) for polarisation in terms[0].vectors), draw_terms(budget)]
 

@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 
 from lbacal.pages.chart import BAND, BARS, BLUE, IMAGE, INK, LINE, OF_DIPOLE, POINTS, RED, Chart, Series
+from lbacal.pages.curves import FREQUENCY, PERCENT
 from lbacal.pages.svg import draw_svg
 from lbacal_core.grids import Floats
 
-PERCENT = 100.0
-FREQUENCY = "frequency (MHz)"
 MOST_SCORES = 12
 STEP_OF_GAIN = "gain_step"
 LEAST_LIKELY = 0.05

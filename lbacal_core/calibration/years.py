@@ -275,7 +275,7 @@ class Lent:
 def lend(
     beside: Sequence[Beside], is_small: NDArray[np.bool_], paths: Paths, sky: Floats, loss: Floats, terms: Intercepts
 ) -> Lent | None:
-    """Take noise levels and chain from the nearest window that has them, for paths with too few events for their own.
+    """Take noise levels and chain from the nearest window that has them, if one has, for paths with too few events.
 
     Parameters
     ----------
