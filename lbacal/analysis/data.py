@@ -112,7 +112,7 @@ def _draw_powers(frequency_mhz: Floats, powers: Mapping[str, Floats]) -> Chart:
         (low, high), colour = np.percentile(power, WITHIN_1_SIGMA, axis=0), k % len(COLOURS)
         series += [
             Series(BAND, frequency_mhz, low=low, high=high, colour=colour),
-            Series(LINE, frequency_mhz, np.median(power, axis=0), name=f"{name}, median", colour=colour),
+            Series(LINE, frequency_mhz, np.median(power, axis=0), name=f"{name}, median and 68 %", colour=colour),
         ]
     return Chart("power of the spectra", FREQUENCY, "power (ADC²/Ω/MHz)", series, ("linear", "log"))
 

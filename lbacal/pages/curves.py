@@ -41,7 +41,7 @@ def above_zero(series: Sequence[Series]) -> tuple[float, float]:
 def _draw_curve(curve: CalibrationCurve, name: str, colour: int) -> Iterator[Series]:
     mhz, c, stat, total = curve.frequency_mhz, *(MICRO * one for one in values_of(curve))
     yield Series(BAND, mhz, low=c - total, high=c + total, name=f"{name}: total error", colour=colour)
-    yield Series(BAND, mhz, low=c - stat, high=c + stat, name=f"{name}: statistical error", colour=colour)
+    yield Series(BAND, mhz, low=c - stat, high=c + stat, name=f"{name}: statistical (dark)", colour=colour)
     errors = (
         f"± {s:.1f} % statistical, ± {t:.1f} % in all"
         for s, t in zip(*(PERCENT * np.array([stat, total]) / c), strict=True)
