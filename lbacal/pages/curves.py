@@ -55,7 +55,7 @@ def _draw_curve(curve: CalibrationCurve, name: str, colour: int) -> Iterator[Ser
 
 
 def values_of(curve: CalibrationCurve) -> tuple[Floats, Floats, Floats]:
-    """C, its statistical error, and the statistical and systematic error in quadrature, V per ADC unit."""
+    """C, its statistical error, and that and the systematic one in quadrature, shape (freq,) each, V per ADC unit."""
     none = np.zeros(curve.frequency_mhz.size)
     stat = none if curve.c_sigma_stat is None else curve.c_sigma_stat
     sys = none if curve.c_sigma_sys is None else np.nan_to_num(curve.c_sigma_sys)

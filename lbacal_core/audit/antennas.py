@@ -324,7 +324,7 @@ class ExchangeOdds:
     odds: Floats
 
     def exchanged(self) -> NDArray[np.int64]:
-        """Select the rows of the antennas that differ from most."""
+        """Select those of `rows` whose antennas differ from most."""
         return np.asarray(self.rows[self.odds > CERTAIN])
 
     def flipped(self) -> ExchangeOdds:

@@ -261,7 +261,7 @@ CLEAR, FOLLOWS = 3.0, (0.3, 2.0)
 
 
 def as_power(recorded: Floats, unit: str) -> Floats:
-    """Power, if the recorded values are in a unit: `power`, `dB` or `volt`."""
+    """Power, same shape, if the recorded values are in a unit: `power`, `dB` or `volt`."""
     if unit == "dB":
         return np.asarray(10 ** (recorded / 10))
     return recorded**2 if unit == "volt" else recorded

@@ -442,7 +442,7 @@ def signature(cause: Cause, terms: ChainTerms, conditions: Conditions, template:
 
 
 def spectral_signature(cause: Cause, terms: ChainTerms, conditions: Conditions, template: Template) -> Floats:
-    """Relative change of the recorded power per unit of amount; times the time profile it is `signature` at 0."""
+    """Relative change of the power per unit of amount, as `signature`, which at size 0 is it times the time profile."""
     above = cause.act(terms, conditions, template, np.array(cause.step)).power()
     below = cause.act(terms, conditions, template, np.array(-cause.step)).power()
     return np.asarray((above - below) / (cause.step * (above + below)))
