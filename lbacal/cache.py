@@ -14,12 +14,11 @@ import re
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Protocol
 
 from lbacal.files import written_beside
-from lbacal.instants import format_instant, parse_instant
+from lbacal.instants import format_instant, parse_instant, read_clock
 from lbacal.tables import write_format
 from lbacal.transport import RefusedError
 from lbacal_core.curves.covariance import name_budgets
@@ -160,7 +159,7 @@ class Cache:
             dipoles = station.get("dipoles", ["X", "Y"])  # a server from before instruments had other letters
             listed[name] = {"antennas": station["antennas"], "dipoles": dipoles, "edges": edges}
         ends = (None if end is None else format_instant(end) for end in (since, until))
-        snapshot = Snapshot(tag, as_of, client.url, format_instant(_now()), listed, tuple(only), *ends)
+        snapshot = Snapshot(tag, as_of, client.url, format_instant(read_clock()), listed, tuple(only), *ends)
         content = json.dumps({"format": FORMAT, **vars(snapshot)}, sort_keys=True).encode()
         self._write(self._folder / "tags" / f"{tag}.json", json.dumps({"list": self._keep(content)}).encode())
         return snapshot, fetched
@@ -222,7 +221,7 @@ class Cache:
         )  # fmt: skip
         if not curves:
             sentence = f"no calibration is in effect for {asked.name} at {format_instant(asked.at)} in {snapshot.tag}"
-            raise RefusedError(NOT_FOUND, "not_in_effect", sentence)
+            raise RefusedError(NOT_FOUND, "not_in_effect", f"{sentence}; a server knows the nearest (gap=hold)")
         return {
             "at": format_instant(asked.at),
             "as_of": snapshot.as_of,
@@ -343,7 +342,3 @@ def _at(edges: Sequence[tuple[str, str | None]], at: Instant) -> str | None:
 
 def _damaged(path: Path, tag: str) -> CacheError:
     return CacheError(f"{path} is damaged or missing: run `lbacal sync {tag}` while a server answers")
-
-
-def _now() -> Instant:
-    return round(datetime.now(UTC).timestamp() * 1e6)

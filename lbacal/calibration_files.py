@@ -163,7 +163,7 @@ def _read_hdf5(path: Path) -> tuple[dict[str, Any], str | None]:
 
 
 def join_rows(place: str, columns: Mapping[str, Any], head: Mapping[str, Any]) -> dict[str, Any]:
-    """Rows and head as one content: rows that name the same path follow each other and become its curve."""
+    """Join arrays by column (`REQUIRED` and others) and a head to one content: adjoining rows of a path are a curve."""
     rows = len(columns["c"])
     if any(len(values) != rows for values in columns.values()):
         raise BadInputError(place, f"{rows} rows in every column", "another number")

@@ -141,7 +141,8 @@ class Client:
             When the data were taken, and when the question is asked (None: now): an astropy Time, a datetime
             (naive = UTC) or ISO 8601 text.
         gap
-            ``hold`` answers with the nearest in time where nothing is in effect; such rows are ``uncertain``.
+            ``hold`` answers with the nearest in time where nothing is in effect; such rows are ``uncertain``. A cache
+            does not know it.
         scope
             ``array``: the reference chain of the array, which is nobody's cable (station empty, antenna -1).
         tag

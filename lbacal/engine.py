@@ -130,7 +130,7 @@ HERE = Engine()
 
 
 def read_address(given: str | None = None) -> str | None:
-    """The address that a command was given, or that of LBACAL_DASK."""
+    """The address that a command was given, or that of LBACAL_DASK; None without either."""
     return given or os.environ.get("LBACAL_DASK") or None
 
 

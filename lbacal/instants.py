@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import time
 from datetime import UTC, datetime, timedelta
 
 from lbacal_core.curves.validity import Instant
@@ -26,6 +27,11 @@ _INSTANT = re.compile(
     re.ASCII,
 )
 _MJD = re.compile(r"[0-9]{1,6}(?:\.[0-9]{0,18})?", re.ASCII)
+
+
+def read_clock() -> Instant:
+    """Now, in whole microseconds since 1970."""
+    return time.time_ns() // 1000
 
 
 def parse_instant(place: str, text: str) -> Instant:

@@ -34,7 +34,7 @@ SERVER_SETTINGS = (
 
 
 def causes_file() -> Path | None:
-    """The file of the causes that this installation has beside the catalogue."""
+    """The file of the causes that this installation has beside the catalogue; None where it has none."""
     named = os.environ.get("LBACAL_CAUSES")
     return Path(named) if named else None
 

@@ -37,7 +37,7 @@ def calibrate_trace(samples: Floats, sample_rate_mhz: float, effective: QTable) 
 
 
 def budget_of(effective: QTable, curve: CalibrationCurve) -> Budget | None:
-    """The systematic terms that the curve's covariance names, from the meta of its table."""
+    """The systematic terms that the curve's covariance names, from the meta of its table; None where it names none."""
     named = None if curve.covariance is None else effective.meta.get("budgets", {}).get(curve.covariance.budget)
     return None if named is None else parse_budget(named)
 

@@ -78,7 +78,7 @@ def guess_widths(frequency_mhz: Floats) -> Floats:
 
 
 def interpolate(nu: Floats, values: Floats, frequency_mhz: Floats, place: str) -> Floats:
-    """Values of a table on the channels, which it must cover, linear between its rows."""
+    """Values of a table on the channels, shape (freq,), which it must cover, linear between its rows."""
     require_channels(place, nu)
     if nu.shape != values.shape:
         raise BadInputError(place, f"a value for each of {nu.size} frequencies", f"{values.size}")

@@ -58,7 +58,7 @@ def solve_symmetric(matrix: Floats, target: Floats, share: float = SHARE, prior:
 
 
 def make_solver(matrix: Floats, share: float = SHARE, prior: float = 0.0) -> Callable[[Floats], Floats]:
-    """`solve_symmetric` for several targets, which looks at the matrices once."""
+    """Make the function of t, shape (..., k, column), that `solve_symmetric` is; it looks at the matrices once."""
     scaled, unit = _regularise(matrix)
     if prior:
         np.einsum("...ii->...i", scaled)[...] += prior

@@ -5,12 +5,12 @@ What computes is imported where it is asked for: an API that only answers loads 
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 from lbacal.engine import HERE, Engine
+from lbacal.instants import read_clock
 from lbacal_core.curves.validity import Instant
 from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.provenance import Remembered
@@ -43,11 +43,6 @@ if TYPE_CHECKING:
 
 BLOCKS_REMEMBERED = 16
 """Single fits of stations' years and polarisations that stay in a worker's memory: those of an array's year, 150 MB."""
-
-
-def read_clock() -> Instant:
-    """Now, in whole microseconds since 1970."""
-    return time.time_ns() // 1000
 
 
 class Factory:

@@ -13,7 +13,7 @@ TALKATIVE = ("alembic", "apscheduler")
 
 
 def configure_logs(level: str) -> None:
-    """Write events of a level and above as JSON lines."""
+    """Write events of a level, such as `info`, and above as JSON lines."""
     first: list[Any] = [
         structlog.contextvars.merge_contextvars,
         structlog.processors.add_log_level,

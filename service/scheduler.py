@@ -61,7 +61,7 @@ def run_scheduler(factory: Factory, stop: threading.Event) -> None:
 
 
 def wait_for_quiet(factory: Factory, stop: threading.Event) -> None:
-    """Wait until a campaign that is being ingested has arrived: half of a year would be fitted, and then all of it."""
+    """Wait, `MOST_WAITS` times `quiet_s` at most, for a campaign that is being ingested: half would be fitted."""
     quiet_s = factory.settings.quiet_s
     for _ in range(MOST_WAITS):
         with factory.database.read() as stores:

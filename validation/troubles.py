@@ -26,12 +26,13 @@ import numpy as np
 import psycopg
 import uvicorn
 
+from lbacal.instants import read_clock
 from lbacal_core.curves.validity import Instant
 from lbacal_core.instrument.instrument import load_instrument
 from service.app import make_app
 from service.cli.connections import configure_server, listen
 from service.config import Settings
-from service.factory import Factory, read_clock
+from service.factory import Factory
 from service.logs import configure_logs
 from service.storage.database import FULL, READ_ONLY
 from service.storage.migration import upgrade

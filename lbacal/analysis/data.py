@@ -112,7 +112,7 @@ def _draw_powers(frequency_mhz: Floats, powers: Mapping[str, Floats]) -> Chart:
         (low, high), colour = np.percentile(power, WITHIN_1_SIGMA, axis=0), k % len(COLOURS)
         series += [
             Series(BAND, frequency_mhz, low=low, high=high, colour=colour),
-            Series(LINE, frequency_mhz, np.median(power, axis=0), name=f"{name}, median", colour=colour),
+            Series(LINE, frequency_mhz, np.median(power, axis=0), name=f"{name}, median and 68 %", colour=colour),
         ]
     return Chart("power of the spectra", FREQUENCY, "power (ADC²/Ω/MHz)", series, ("linear", "log"))
 
@@ -256,7 +256,7 @@ def simulate(
     seed: int = 1,
     stations: Sequence[str] | None = None,
 ) -> BackgroundSpectra:
-    """A simulated year of an instrument's spectra, to try things on: noise as LOFAR's, events at random times.
+    """A simulated year of an instrument's spectra, to try things on: noise and A(nu) are LOFAR's, times are random.
 
     Parameters
     ----------

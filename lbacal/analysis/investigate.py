@@ -17,7 +17,7 @@ from lbacal.analysis.result import Result
 from lbacal.engine import Engine
 from lbacal.pages.chart import Chart
 from lbacal.pages.curve import draw_change, draw_curve, draw_curve_page, draw_ranking
-from lbacal.pages.finding import draw_finding, draw_scores, tell_rivals
+from lbacal.pages.finding import draw_finding, draw_scores, tell_rivals, tell_similar
 from lbacal.pages.report import draw_investigation, list_origin
 from lbacal.units import convert_band
 from lbacal.with_model import Extended, read_model
@@ -265,8 +265,8 @@ def _tell(content: Mapping[str, Any]) -> Iterator[str]:
 
 def _tell_finding(finding: Mapping[str, Any]) -> Iterator[str]:
     yield f"  {finding['significance_sigma']:.1f} sigma: {finding['sentence']}"
-    if finding["indistinguishable"]:
-        yield f"    these data cannot tell it from {', '.join(finding['indistinguishable'])}"
+    if similar := ", ".join(tell_similar(finding)):
+        yield f"    these data cannot tell it from {similar}"
     if not finding["evidence"].get("is_converged", True):
         yield "    caution: the fit of all causes together has not converged"
     if rivals := tell_rivals(finding):

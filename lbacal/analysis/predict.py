@@ -213,7 +213,7 @@ def _make(content: Mapping[str, Any]) -> Prediction:
     adc, shown = content["adc"], []
     if adc is not None:
         low, high = adc["band_mhz"]
-        shown = [f"the ADC shows {adc['rms']:.2f} ± {adc['sigma']:.2f} counts r.m.s. by {low:g}-{high:g} MHz"]
+        shown = [f"the ADC shows {adc['rms']:.3g} ± {adc['sigma']:.2g} counts r.m.s. by {low:g}-{high:g} MHz"]
     write = partial(write_prediction, content)
     return Prediction(
         title=f"{content['station']} {content['antenna']} {content['dipole']} at {content['at']}, "
@@ -222,7 +222,7 @@ def _make(content: Mapping[str, Any]) -> Prediction:
             [f"{name}, {one.unit}".rstrip(", "), *(f"{one[k].value:.4g}" for k in at)] for name, one in columns.items()
         ],
         notes=[*shown, f"noise of an event: {content['noise']['source']}", *content["notes"]],
-        charts=lambda: [_draw(nu, power, {"one event": event_sigma, "known to": sigma})],
+        charts=lambda: [_draw(nu, power, {"one event": event_sigma, "known to": sigma}, f"{unit:unicode}")],
         as_dict=lambda: content,
         as_table=lambda: QTable(columns),
         more={".h5": write, ".hdf5": write},
@@ -257,11 +257,11 @@ def _write_group(group: h5py.Group, content: Mapping[str, Any]) -> None:
             group.attrs[name] = "; ".join(value) if isinstance(value, list) else value
 
 
-def _draw(nu: Floats, power: Floats, bands: Mapping[str, Floats]) -> Chart:
+def _draw(nu: Floats, power: Floats, bands: Mapping[str, Floats], unit: str) -> Chart:
     """The expected power with what one event scatters about it, and how well it is known."""
     series = [
         Series(BAND, nu, low=power - sigma, high=power + sigma, name=f"{name}, 68 %", colour=k)
         for k, (name, sigma) in enumerate(bands.items(), start=1)
     ]
     series.append(Series(LINE, nu, power, name="expected"))
-    return Chart("expected power", FREQUENCY, "power", series, ("linear", "log"))
+    return Chart("expected power", FREQUENCY, f"power ({unit})", series, ("linear", "log"))

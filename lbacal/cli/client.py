@@ -47,7 +47,7 @@ def effective(
     antenna: Antenna = None,
     dipole: Dipole = None,
     as_of: Annotated[str | None, typer.Option(help="Answer as it was known at this instant.")] = None,
-    gap: Annotated[str | None, typer.Option(help="hold: answer with the nearest where nothing is in effect.")] = None,
+    gap: Annotated[str | None, typer.Option(help="hold: answer with the nearest; asks a server.")] = None,
     scope: Annotated[str | None, typer.Option(help="array: its reference chain, which is nobody's cable.")] = None,
     tag: Annotated[str | None, typer.Option(help="Answer as it was frozen under this name.")] = None,
     why: Annotated[bool, typer.Option("--why", help="Say in a sentence why it is this version.")] = False,

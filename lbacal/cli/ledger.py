@@ -301,8 +301,8 @@ def print_state(state: dict[str, Any]) -> None:
         print(f"{process['kind']} {process['name']} {said}, seen {process['silent_s']:.0f} s ago")
     parts = ", ".join(f"{count} {name}" for name, count in state["parts"].items())
     print(f"parts of jobs: {parts}")
-    newest = state["newest_event"] or "none"
-    print(f"{state['events']} events, the newest of {newest}; {state['gated']} versions wait for a human")
+    newest = f", the newest of {state['newest_event']}" if state["newest_event"] else ""
+    print(f"{state['events']} events{newest}; {state['gated']} versions wait for a human")
     print(f"alarms: {state['alarms']['line']}")
     for one in state["investigations"]:
         print_news(one)

@@ -117,7 +117,7 @@ def life(
 
 
 def print_life(found: dict[str, Any]) -> None:
-    """Print a line for each thing that happened, and how much there is."""
+    """Print what `ask_life` found: a line for each thing that happened, and how much there is."""
     for at, words in tell_life(found):
         print(f"{at} {words}")
     print(f"versions: {len(found['versions'])}, epochs: {len(found['epochs'])}")

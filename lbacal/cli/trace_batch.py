@@ -47,7 +47,8 @@ class TraceBatch:
                 yield item[0], json.loads(part.read_text()), True
             else:
                 waiting.append(item)
-        for number, result in engine.spread(reduce_station_event, self.settings, waiting, _tell_failure):
+        tell = "the work failed on dask: {}".format
+        for number, result in engine.spread(reduce_station_event, self.settings, waiting, tell):
             item = waiting[number]
             if not isinstance(result, str):
                 with written_beside(self._part(item)) as beside:
@@ -79,7 +80,3 @@ def reduce_station_event(
     except (LbacalError, OSError) as error:
         return str(error)
     return [record_background(event, background, settings) for background in backgrounds]
-
-
-def _tell_failure(error: BaseException) -> str:
-    return f"the work failed on dask: {error}"

@@ -64,5 +64,5 @@ def _draw_sky(station: AuditedStation, column: int) -> Chart:
         Series(BAND, lst, low=low, high=high, name="all paths", colour=colour),
         Series(LINE, lst, np.nanmedian(band, axis=0), name="median", colour=colour),
     ]
-    title, label = f"{station.name} {dipole}: power of the band", "power of the band over its median (dB)"
+    title, label = f"{station.name} {dipole}: power of the band", "power over its median (dB)"
     return Chart(title, "local sidereal time (h)", label, series, x_limits=(0.0, 24.0))

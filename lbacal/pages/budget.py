@@ -47,7 +47,7 @@ def describe_best(frequency_mhz: Floats, terms: Sequence[BudgetTerm]) -> str:
 
 
 def draw_budget(shared: Budget, terms: Sequence[BudgetTerm]) -> list[Chart]:
-    """The terms of each polarisation against frequency, and how large each is over the band."""
+    """Charts of the terms against frequency, one a polarisation, and one of how large each is over the band."""
     budget = Budget(shared.frequency_mhz, tuple(terms))
     return [*(_stack_terms(budget, polarisation) for polarisation in terms[0].vectors), draw_terms(budget)]
 
@@ -64,5 +64,5 @@ def _stack_terms(budget: Budget, polarisation: str) -> Chart:
         for k, (name, low, high) in enumerate(zip(parts, ends[:-1], ends[1:], strict=True), start=1)
     ]
     series.append(Series(LINE, budget.frequency_mhz, ends[-1], name="total"))
-    title, label = f"polarisation {polarisation}", "systematic error of C (%), in quadrature"
+    title, label = f"polarisation {polarisation}, added in quadrature", "systematic error of C (%)"
     return Chart(title, FREQUENCY, label, series, y_limits=above_zero(series))

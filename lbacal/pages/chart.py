@@ -117,7 +117,7 @@ class Chart:
             if limits is not None:
                 set_limits(limits)
         if any(one.name and one.image is None for one in self.series):
-            axes.legend(fontsize=8, frameon=False)
+            axes.legend(fontsize=8, framealpha=0.8, edgecolor="none")
 
 
 def plot_charts(charts: Sequence[Chart], columns: int = 2) -> Figure:

@@ -40,8 +40,8 @@ def above_zero(series: Sequence[Series]) -> tuple[float, float]:
 
 def _draw_curve(curve: CalibrationCurve, name: str, colour: int) -> Iterator[Series]:
     mhz, c, stat, total = curve.frequency_mhz, *(MICRO * one for one in values_of(curve))
-    yield Series(BAND, mhz, low=c - total, high=c + total, colour=colour)
-    yield Series(BAND, mhz, low=c - stat, high=c + stat, colour=colour)
+    yield Series(BAND, mhz, low=c - total, high=c + total, name=f"{name}: total error", colour=colour)
+    yield Series(BAND, mhz, low=c - stat, high=c + stat, name=f"{name}: statistical (dark)", colour=colour)
     errors = (
         f"± {s:.1f} % statistical, ± {t:.1f} % in all"
         for s, t in zip(*(PERCENT * np.array([stat, total]) / c), strict=True)
@@ -55,7 +55,7 @@ def _draw_curve(curve: CalibrationCurve, name: str, colour: int) -> Iterator[Ser
 
 
 def values_of(curve: CalibrationCurve) -> tuple[Floats, Floats, Floats]:
-    """C, its statistical error, and the statistical and systematic error in quadrature, V per ADC unit."""
+    """C, its statistical error, and that and the systematic one in quadrature, shape (freq,) each, V per ADC unit."""
     none = np.zeros(curve.frequency_mhz.size)
     stat = none if curve.c_sigma_stat is None else curve.c_sigma_stat
     sys = none if curve.c_sigma_sys is None else np.nan_to_num(curve.c_sigma_sys)
@@ -110,7 +110,7 @@ def draw_noise(mhz: Floats, terms: Mapping[str, Floats], title: str, unit: str =
     for k, (name, values) in enumerate(terms.items()):
         titles = [f"{name} {nu:g} MHz: {value:.4g} {unit}" for nu, value in zip(mhz, values, strict=True)]
         series.append(Series(LINE, mhz, values, name=name, colour=k % 7, style=k // 7, titles=titles))
-    return Chart(title, FREQUENCY, f"power at the start of the chain ({unit})", series, scales=("linear", "log"))
+    return Chart(title, FREQUENCY, f"power ({unit})", series, scales=("linear", "log"))
 
 
 def limit_residuals(maps: Iterable[Floats]) -> float:

@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 
 from lbacal.pages.chart import BAND, BARS, BLUE, IMAGE, INK, LINE, OF_DIPOLE, POINTS, RED, Chart, Series
+from lbacal.pages.curves import FREQUENCY, PERCENT
 from lbacal.pages.svg import draw_svg
 from lbacal_core.grids import Floats
 
-PERCENT = 100.0
-FREQUENCY = "frequency (MHz)"
 MOST_SCORES = 12
 STEP_OF_GAIN = "gain_step"
+LEAST_LIKELY = 0.05
+"""Likelihood beside a finding below which the data do tell a rival from it: 1 to 20, as between its rivals."""
 
 
 def draw_finding(finding: Mapping[str, Any]) -> dict[str, Chart]:
@@ -42,9 +43,9 @@ def draw_sentence(sentence: Mapping[str, Any]) -> dict[str, Chart]:
 
 
 def _draw_course_and_law(picture: Mapping[str, Any], name: str) -> dict[str, Chart]:
-    charts = {"course": _draw_course(picture["course"], name, "relative power, mean over channels (%)")}
+    charts = {"course": _draw_course(picture["course"], name, "mean relative power (%)")}
     if "law" in picture:  # an error of the record has no template
-        mhz, label = picture["law"]["frequency_mhz"], "relative power along that course (%)"
+        mhz, label = picture["law"]["frequency_mhz"], "relative power (%)"
         charts["law"] = Chart(f"{name} along frequency", FREQUENCY, label, _compare(mhz, picture["law"], name))
     return charts
 
@@ -62,7 +63,7 @@ def tell_finding(finding: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     if gain["held_out_log_likelihood_gain"] is not None:
         told = f"ln L {gain['held_out_log_likelihood_gain']:+.1f} on {gain['held_out_events']} events, in four folds"
         yield "gain on unseen events", told
-    yield "these data cannot tell it from", ", ".join(_tell_similar(finding)) or "nothing else in the catalogue"
+    yield "these data cannot tell it from", ", ".join(tell_similar(finding)) or "nothing else in the catalogue"
     if rivals := tell_rivals(finding):
         yield "rivals, with their odds to it", rivals
     change = finding["calibration_change"]
@@ -78,15 +79,15 @@ def tell_finding(finding: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     yield "how to confirm it", evidence["confirm"]
 
 
-def _tell_similar(finding: Mapping[str, Any]) -> Iterator[str]:
-    """Rivals with their likelihood beside that of the finding, or with the correlation of their signatures."""
+def tell_similar(finding: Mapping[str, Any]) -> Iterator[str]:
+    """Rivals with their likelihood beside that of the finding, 1/20 or more, or the correlation of their signatures."""
     rivals = {one["cause"]: one["weight"] for one in finding.get("left_open", ())[1:]}
     correlations = finding["evidence"].get("correlations", {})
     for name in dict.fromkeys((*finding["indistinguishable"], *rivals)):
-        if name in rivals:
-            yield f"{name} ({rivals[name]:.2g} : 1 beside it)"
-        else:
+        if name not in rivals:
             yield f"{name} (r = {correlations[name]:.2f})" if name in correlations else name
+        elif rivals[name] >= LEAST_LIKELY:
+            yield f"{name} ({rivals[name]:.2g} : 1 beside it)"
 
 
 def tell_rivals(finding: Mapping[str, Any]) -> str:

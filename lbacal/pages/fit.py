@@ -127,11 +127,11 @@ def draw_c(curves: Sequence[CalibrationCurve], title: str = "C") -> Chart:
         mhz, colour, c = own[0].frequency_mhz, OF_DIPOLE.get(dipole, INK), np.array([one.c for one in own], dtype=float)
         middle = np.nanmedian(c, axis=0)
         stat, sys = (_median_error(own, name) for name in ("c_sigma_stat", "c_sigma_sys"))
-        for error, label in ((np.hypot(stat, np.nan_to_num(sys)), "total error"), (stat, "statistical error")):
+        for error, label in ((np.hypot(stat, np.nan_to_num(sys)), "total error"), (stat, "statistical (dark)")):
             low, high = (MICRO * middle * (1.0 + sign * error) for sign in (-1, 1))
             series.append(Series(BAND, mhz, low=low, high=high, name=f"{dipole}: {label}", colour=colour))
-        ends = MICRO * np.nanpercentile(c, WITHIN_1_SIGMA, axis=0)
-        series += [Series(LINE, mhz, end, name="68 % of the curves", style=1) for end in ends]
+        low, high = MICRO * np.nanpercentile(c, WITHIN_1_SIGMA, axis=0)
+        series += [Series(LINE, mhz, low, name="68 % of the curves", style=1), Series(LINE, mhz, high, style=1)]
         series.append(Series(LINE, mhz, MICRO * middle, name=f"{dipole}: median of {len(own)} curves", colour=colour))
         flagged = mhz[np.mean([curve.flags != OK for curve in own], axis=0) > 0.5]
         series.append(Series(POINTS, flagged, np.zeros(flagged.size), name="flagged" if flagged.size else ""))
@@ -172,5 +172,5 @@ def _draw_chi2(curves: Sequence[CalibrationCurve], dipole: str) -> Chart:
     series.append(Series(MARK, wrong, name="misfit" if wrong else "", colour=SKY, style=2))
     scales = ("linear", "log" if largest > LARGEST_LINEAR else "linear")
     label, title = "chi² per degree of freedom", f"chain test, polarisation {dipole}"
-    limits = None if largest > LARGEST_LINEAR else (0.0, 1.1 * max(largest, 1 + sigma))
+    limits = None if largest > LARGEST_LINEAR else (0.0, 1.5 * max(largest, 1 + sigma))
     return Chart(title, "curve, in the order of the table", label, series, scales, (0.5, len(curves) + 0.5), limits)

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from lbacal_core.calibration.budget import largest_chi2_per_dof
+from lbacal_core.calibration.channels import LARGEST_GOOD_ERROR
 from lbacal_core.calibration.one_event import ErrorOfC
 from lbacal_core.curves.curves import MISFIT, OK, CalibrationCurve
 
@@ -70,19 +71,26 @@ def _range(values: Sequence[float], form: str) -> str:
 
 
 def explain_chi2(curves: Sequence[CalibrationCurve]) -> str:
-    """Explain the two numbers of the chain test for these channels."""
+    """Explain the two numbers of the chain test for these channels, and why some are flagged."""
     dof = curves[0].frequency_mhz.size - 3
     misfits = sum(curve.status == MISFIT for curve in curves)
     widened = sum(
         1 for c in curves if c.status != MISFIT and (c.chi2_per_dof or 0.0) > largest_chi2_per_dof(c.frequency_mhz.size)
     )
     limit, sigma = largest_chi2_per_dof(dof + 3), np.sqrt(2.0 / dof)
+    flags = [flag for curve in curves if curve.c is not None for flag in curve.flags.tolist() if flag != OK]
+    counted = ", ".join(f"{flags.count(flag)} channels {flag}" for flag in dict.fromkeys(flags))
+    flagged = (
+        f" Flagged: {counted}; uncertain: a misfit, a statistical error above {LARGEST_GOOD_ERROR:.0%}, or another "
+        "antenna that these data do not exclude moves C by more."
+    )
     return (
         f"chi2/dof tests the chain along frequency: 1.0 ± {sigma:.1f} ({dof} degrees of freedom) if nothing but noise "
         f"parts data and model; above {limit:.1f} the systematic error of a curve is widened ({widened} here). "
         "'sky free' looks along LST as well, and lets sky and pattern differ by what is known of them: 1 or less if "
         "they explain the rest. A misfit is where even that is less probable than 1e-6, where a likely mistake is "
         f"named, where gains follow sidereal time, and every curve of a station half of whose are one ({misfits} here)."
+        + (flagged if flags else "")
     )
 
 

@@ -239,14 +239,14 @@ def _level_and_slope(difference: Floats, axis: Floats) -> Floats:
 
 
 def fits_cables(station: AuditedStation, rows: NDArray[np.int64], unit: str) -> bool:
-    """Whether values in a unit differ between cable names as cables do, and not only better than power does."""
+    """Whether values in a unit of `as_power` differ between cable names as cables do, not only better than power."""
     return _of_cables(station, rows, np.log(as_power(station.power[rows], unit))) > -(FITS_SIGMA**2) / 2
 
 
 def log_likelihood_of_unit(
     station: AuditedStation, rows: NDArray[np.int64], unit: str, instrument: Instrument
 ) -> float:
-    """Ln L that recorded values are in a unit, by how cable names differ and by how the power runs along frequency.
+    """Ln L that values of some antennas are in a unit of `as_power`, by how cable names and frequencies differ.
 
     A longer cable takes from the power, in dB; and the power runs as the sky does, through antenna and receiver.
     """
@@ -324,7 +324,7 @@ class ExchangeOdds:
     odds: Floats
 
     def exchanged(self) -> NDArray[np.int64]:
-        """Select the rows of the antennas that differ from most."""
+        """Select those of `rows` whose antennas differ from most."""
         return np.asarray(self.rows[self.odds > CERTAIN])
 
     def flipped(self) -> ExchangeOdds:

@@ -69,7 +69,7 @@ class AuditedStation:
         return f"{covered} of sidereal time do"
 
     def with_cables(self, cables: Mapping[int, str], instrument: Instrument) -> AuditedStation:
-        """The station with other cables at some rows."""
+        """The station with other cables of the instrument, by the row of an antenna, which is not its number."""
         names, loss = self.cables.astype(object), self.loss.copy()
         for row, name in cables.items():
             names[row], loss[row] = name, instrument.cables[name]
@@ -216,7 +216,7 @@ class Series:
 
 
 def mean_frequencies(frequency_mhz: Floats) -> Floats:
-    """Mean frequency of each band, shape (band,), MHz."""
+    """Mean frequency of each of `BANDS` bands of as many channels, shape (band,), MHz."""
     return np.array([band.mean() for band in np.array_split(frequency_mhz, BANDS)])
 
 
@@ -261,7 +261,7 @@ CLEAR, FOLLOWS = 3.0, (0.3, 2.0)
 
 
 def as_power(recorded: Floats, unit: str) -> Floats:
-    """Power, if the recorded values are in a unit: `power`, `dB` or `volt`."""
+    """Power, same shape, if the recorded values are in a unit: `power`, `dB` or `volt`."""
     if unit == "dB":
         return np.asarray(10 ** (recorded / 10))
     return recorded**2 if unit == "volt" else recorded
@@ -356,7 +356,7 @@ class SeriesLikelihood:
 
 
 class AnyReceiver:
-    """ln L of a series, whether its receivers keep their colour along the hours or not."""
+    """ln L of a series of so many antennas, whether their receivers keep their colour along the hours or not."""
 
     def __init__(self, series: Series, antennas: int) -> None:
         self.series = series

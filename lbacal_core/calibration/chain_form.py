@@ -78,11 +78,11 @@ class ChainForm:
         return max(self.probability, key=lambda form: self.probability[form])
 
     def is_open(self, form: str) -> bool:
-        """Whether a form is possible: probable, or not excluded by the data, whatever is thought of it beforehand."""
+        """Whether one of `FORMS` is possible: probable, or not excluded by the data, whatever the prior is."""
         return self.probability.get(form, 0.0) >= OPEN or self.odds_by_data(form) > EXCLUDED
 
     def odds_by_data(self, form: str) -> float:
-        """Probability of the data in a form over that in the preferred one."""
+        """Probability of the data in one of `FORMS` over that in the preferred one."""
         return self.probability.get(form, 0.0) / self.probability[self.name] * PRIOR[self.name] / PRIOR[form]
 
     def __str__(self) -> str:
@@ -180,7 +180,7 @@ def free_sky(path: PathLines, lst_hours: Floats, prior: SkyPrior | None, dipole:
 
 
 def list_amounts(form: str, terms: Intercepts, sky: Floats) -> tuple[Floats, Floats]:
-    """Noise in front of A(nu) in a form, shape (amount, freq), in the unit of P_sky, and the weight of each.
+    """Noise in front of A(nu) in one of `FORMS`, shape (amount, freq), in the unit of P_sky, and the weight of each.
 
     An amount is half-normal about 0, of one mean sky power r.m.s. along frequency, as the weak prior of the fit is.
     """

@@ -126,17 +126,17 @@ class ChainTest:
 
     @property
     def per_dof(self) -> Floats:
-        """Chi^2 per degree of freedom."""
+        """Chi^2 per degree of freedom, shape (path,)."""
         return np.asarray(self.chi2 / self.dof)
 
     @property
     def is_misfit(self) -> NDArray[np.bool_]:
-        """Whether noise and the sky's prior cannot explain it."""
+        """Whether noise and the sky's prior cannot explain it, shape (path,)."""
         return is_improbable(self.chi2, self.dof)
 
 
 def is_improbable(chi2: Floats, dof: Floats | NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Whether chi^2 is larger than chance makes it."""
+    """Whether chi^2 of so many degrees of freedom is less probable than `MISFIT_PROBABILITY`, same shape."""
     return np.asarray((np.asarray(dof) > 0) & (scipy.special.chdtrc(dof, chi2) < MISFIT_PROBABILITY))
 
 

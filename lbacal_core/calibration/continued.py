@@ -54,7 +54,7 @@ class Continued:
 def keep_lines(
     paths: Paths, lines: Lines, curves: Sequence[CalibrationCurve], form: str, loss: Floats, spectra: Sequence[str]
 ) -> KeptLines:
-    """Take from a fit what it can be continued with, and what other windows can be fitted with."""
+    """Take from a fit in one of `FORMS` what it can be continued with, and what other windows can be fitted with."""
     has_c = np.array([curve.c is not None for curve in curves])
     members = paths.member_lines
     away = None if members is None or not np.any(members.is_away) else members.take(members.is_away)

@@ -105,12 +105,12 @@ def paths_of_scope(
     cable_of: Cables,
     elsewhere: Callable[[Owner], Sequence[MemberLines]] = lambda _: (),
 ) -> Iterator[Callable[[], Paths]]:
-    """The paths of a scope, a batch at a time, each batch to be read by whoever has a core for it.
+    """The paths of a scope (`antenna`, `station`, `array`), a batch at a time, each read by whoever has a core for it.
 
     Parameters
     ----------
     cable_of
-        The cables of the antennas of the spectra, and of those that a mean may have although they are away.
+        Cable names by (station, antenna): of the spectra, and of those that a mean may have although they are away.
     elsewhere
         The members of a mean in other windows that have the same hardware in all, the nearest first.
     """

@@ -160,7 +160,7 @@ class EventNoise:
         return np.asarray(gain * rng.standard_gamma(1.0 / own, (count, own.size)) * own)
 
     def draw_gains(self, count: int, rng: np.random.Generator, of_station: Floats | None = None) -> Floats:
-        """Draw the part of the noise that an event shares along frequency, as `draw`; a trace itself has the rest."""
+        """Draw factors of mean 1 that channels of an event share, as `draw`, (event, freq); a trace has the rest."""
         amount = rng.standard_normal((count, len(self.shared)))
         if of_station is not None and len(self.shared):
             amount[:, 0] = self.common**0.5 * of_station + (1.0 - self.common) ** 0.5 * amount[:, 0]

@@ -50,7 +50,7 @@ class SlowChange:
         return float(along[-1] - along[:-1].mean())
 
     def follow(self, time_unix: Floats) -> Floats:
-        """Where it stands at some times, in units of `size`: 0 before a ramp, and in the mean of a season."""
+        """Values at times, s UTC, same shape, in units of `size`: 0 before a ramp, and in the mean of a season."""
         years = (time_unix - self.date_unix) / YEAR_S
         return np.asarray(np.cos(2.0 * np.pi * years) if self.is_season else np.maximum(years, 0.0))
 

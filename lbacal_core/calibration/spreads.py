@@ -124,7 +124,7 @@ class RandomEffect:
 
     @property
     def spread(self) -> Floats:
-        """The standard deviation; a channel whose own noise hides it has no smaller one than the band as a whole."""
+        """The standard deviation, shape (freq,); a channel whose noise hides it has at least that of the band."""
         of_band = np.sum(self.information * self.variance) / np.sum(self.information)
         return np.asarray(np.sqrt(np.maximum(self.variance, of_band)))
 

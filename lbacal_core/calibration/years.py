@@ -303,7 +303,7 @@ class Lent:
 def lend(
     beside: Sequence[Beside], is_small: NDArray[np.bool_], paths: Paths, sky: Floats, loss: Floats, terms: Intercepts
 ) -> Lent | None:
-    """Take noise levels and chain from the nearest window that has its own, for paths with too few events for theirs.
+    """Take noise levels and chain from the nearest window that has its own, if one has, for paths with too few events.
 
     Parameters
     ----------

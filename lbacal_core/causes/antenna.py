@@ -124,7 +124,7 @@ class ResonanceCause(Cause):
         raise NotImplementedError
 
     def of_circuit(self, conditions: Conditions, amount: Floats) -> Floats:
-        """Change of ln G_ant by an amount, to first order, from the circuit of dipole and LNA."""
+        """As `of_curve` to first order, from the circuit of dipole and LNA."""
         raise NotImplementedError
 
 

@@ -216,7 +216,7 @@ class Conditions:
         return bool(np.histogram(self.utc_hours, bins=HOURS_BINS, range=(0, 24))[0].min() >= FEWEST_IN_HOURS)
 
     def after(self, date_unix: float) -> Floats:
-        """0 before an instant and 1 from it on, shape (event, 1)."""
+        """0 before an instant, s UTC, or without dates, and 1 from it on, shape (event, 1)."""
         return np.asarray((self.time_unix >= date_unix).astype(float)[:, None])
 
     def in_hours(self, begin: float, end: float) -> Floats:
@@ -386,7 +386,7 @@ class Cause(Description):
         return self.meaning
 
     def kinds(self, template: Template) -> frozenset[str]:
-        """What it does to the power of a band: templates that share a kind are never fitted together."""
+        """Its effects on the power of a band by name: templates that share one are never fitted together."""
         return frozenset({self.label(template)})
 
     def covariates(self, template: Template) -> Sequence[str]:  # noqa: ARG002
@@ -442,7 +442,7 @@ def signature(cause: Cause, terms: ChainTerms, conditions: Conditions, template:
 
 
 def spectral_signature(cause: Cause, terms: ChainTerms, conditions: Conditions, template: Template) -> Floats:
-    """Relative change of the recorded power per unit of amount; times the time profile it is `signature` at 0."""
+    """Relative change of the power per unit of amount, as `signature`, which at size 0 is it times the time profile."""
     above = cause.act(terms, conditions, template, np.array(cause.step)).power()
     below = cause.act(terms, conditions, template, np.array(-cause.step)).power()
     return np.asarray((above - below) / (cause.step * (above + below)))

@@ -76,7 +76,7 @@ class AdoptedCause:
 
     def __post_init__(self) -> None:
         if self.cause not in ACTING:
-            expected = "a cause that acts from event to event; what is constant A(nu) of every path contains already"
+            expected = "a cause that acts from event to event: what is constant is in A(nu), and C is right without it"
             raise BadInputError("adopted cause", expected, repr(self.cause))
         place = f"adopted cause {self.cause}"
         if self.cause == Sentence.identifier:

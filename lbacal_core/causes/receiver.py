@@ -68,7 +68,7 @@ class FilterShift(Cause):
         return bool(template.parameters.get("date_unix") != earlier.parameters.get("date_unix"))
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
-        """G_RCU read at nu (1 + s)."""
+        """G_RCU read at nu (1 + s), s the amount."""
         frequency, log_gain = conditions.frequency_mhz, np.log(conditions.receiver_gain)
         factor = np.exp(read_between(frequency, log_gain, frequency * (1.0 + amount)) - log_gain)
         return replace(terms, front=terms.front * factor, receiver_noise=terms.receiver_noise * factor)

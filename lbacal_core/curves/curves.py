@@ -338,7 +338,7 @@ class CalibrationCurve:
 
     @property
     def owner(self) -> tuple[str | None, int | None]:
-        """Station and antenna that it belongs to, with all their dipoles."""
+        """Station and antenna that it belongs to, with all their dipoles; None: all stations, or antennas."""
         return self.station, self.antenna
 
     @property
@@ -348,12 +348,12 @@ class CalibrationCurve:
 
     @property
     def antenna_gain_sha256(self) -> str | None:
-        """Hash of G_ant: curves with the same one were fitted with the same antenna gain."""
+        """Hash of G_ant, None where it is unknown: curves with the same one were fitted with the same antenna gain."""
         return None if self.antenna_gain is None else hash_arrays(self.frequency_mhz, self.antenna_gain)
 
     @property
     def c_over_h(self) -> Floats | None:
-        """C/|H_zenith|, shape (freq,), V/m per ADC unit: the field along the arm from the zenith.
+        """C/|H_zenith|, shape (freq,), V/m per ADC unit, None without C or G_ant: field along the arm, from the zenith.
 
         |H_zenith|^2 = G_ant, because G_ant D = |J_theta|^2 + |J_phi|^2 and D = 1 at zenith. With C^2 = G_ant / s it is
         s^-1/2: whatever is wrong with G_ant is not in it.

@@ -190,7 +190,7 @@ class ReferenceChain:
 
     @property
     def jensen(self) -> Floats | None:
-        """By what fraction the mean of the members' C lies above the curve carried to their cables, shape (freq,)."""
+        """Fraction of the members' mean C above the curve in their cables, shape (freq,); None without spreads."""
         return None if self.spreads is None else np.asarray(JENSEN * self.spreads.all_paths.spread**2)
 
     def as_dict(self) -> dict[str, Any]:

@@ -37,7 +37,7 @@ class Scope:
 
     @property
     def parts(self) -> tuple[str | None, int | None, str | None]:
-        """Station, antenna and dipole."""
+        """Station, antenna and dipole, None where it names none."""
         return self.station, self.antenna, self.dipole
 
     @property

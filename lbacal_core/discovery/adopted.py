@@ -88,7 +88,7 @@ class BoundedCause(Cause):
 
 
 def is_between(time_unix: Floats, since_unix: int | None, until_unix: int | None) -> NDArray[np.bool_]:
-    """Whether instants lie in an interval, half open."""
+    """Whether instants, s UTC, lie in an interval, half open, same shape; None where an end is open."""
     is_inside = np.ones(time_unix.shape, dtype=bool)
     if since_unix is not None:
         is_inside &= time_unix >= since_unix

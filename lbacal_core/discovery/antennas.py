@@ -127,7 +127,7 @@ class Comparison:
         return [template for template, is_kept in zip(templates, is_told, strict=True) if is_kept]
 
     def less_smooth(self, found: Floats) -> Floats:
-        """The departure of the mean of the dipoles less what is smooth beside a found one, without its mean."""
+        """The departure of the dipoles' mean less what is smooth beside a found one, (freq,), and less its mean."""
         rest = self._whiten((self.departure[0] - found)[None])[:, :, None]
         left = self.departure[0] - self.root @ (rest - self.view.clean(rest))[0, :, 0]
         return np.asarray(left - left.mean())

@@ -345,7 +345,7 @@ class CurveFitter:
         return np.asarray(total / total.mean(axis=1, keepdims=True))
 
     def points_with(self, choices: Sequence[Choice], sizes: Floats, noise: float) -> Floats:
-        """Band power of all points, X then Y, in dB about the mean over LST, offsets left out."""
+        """Band power of all points, X then Y, shape (point,), in dB about the mean over LST, offsets left out."""
         points = self._to_points @ self.band_with(choices, sizes, noise).ravel()
         return np.asarray(10 * np.log10(np.maximum(points, 1e-6)))
 
@@ -460,7 +460,7 @@ class CurveFitter:
         return dict(zip(DIPOLES, np.sqrt(np.maximum(named / right, 0.0)) - 1.0, strict=True))
 
     def signature(self, fewer: CurveFit, more: CurveFit) -> Floats:
-        """Change of the points by the larger model, whitened, the offsets profiled out."""
+        """Change of the points by the larger model, shape (point,), whitened, the offsets profiled out."""
         whitener = find_whitener(self.covariance)
         new, old = (self.points_with(one.choices, one.sizes, one.noise) for one in (more, fewer))
         white = whitener @ (new - old)

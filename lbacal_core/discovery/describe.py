@@ -129,7 +129,7 @@ class Description:
 def describe_structure(
     model: FittedModel, structure: ResidualStructure, targets: Sequence[Target], policy: Policy, seed: int = 0
 ) -> Description:
-    """Describe the structure which a model leaves; empty where no sentence does better than chance."""
+    """Describe the structure which a model leaves; `Description()` where no sentence does better than chance."""
     shown = _targets_of(structure, targets)
     if not shown:
         return Description()

@@ -73,7 +73,8 @@ def chance_of_pattern(white: Floats, independent: float, functions: float) -> tu
 
     Returns
     -------
-    The probability, the chi^2 gained by the pattern, and the amplitude of each path, shape (path,).
+    The probability, the chi^2 gained by the pattern, and the amplitude of each path, shape (path,): their squares are
+    that chi^2, and their common sign says nothing.
     """
     left, sizes, _ = np.linalg.svd(white, full_matrices=False)
     gain = float(sizes[0] ** 2)

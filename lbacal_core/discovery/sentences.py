@@ -139,7 +139,7 @@ def score_gated(
 
 
 class Lengths:
-    """Description lengths in chi^2: twice the ln of the number of alternatives at each choice."""
+    """Description lengths in chi^2: twice the ln of the number of alternatives at each choice, that of a target too."""
 
     def __init__(self, conditions: Conditions, targets: int) -> None:
         self._laws = Counter(one[0] for one in list_laws(conditions))
@@ -151,7 +151,7 @@ class Lengths:
         return float(2.0 * np.log(len(PLACES) * len(LAWS) * self._laws[law[0]] * self._targets))
 
     def temporal(self, course: Form) -> float:
-        """Length of a course; a product is as long as both."""
+        """Length of a course of `causes.grammar`; a product is as long as both."""
         if course[0] == PRODUCT:
             return self.temporal(course[1]) + self.temporal(course[2])
         return float(2.0 * np.log(len(COURSES) * self._courses[course[0]]))

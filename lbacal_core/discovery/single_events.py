@@ -17,6 +17,7 @@ from lbacal_core.discovery.hypothesis import p_of_best
 from lbacal_core.discovery.noise import LINE, clean_mean, is_heavy
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.station import Station
+from lbacal_core.errors import SMALLEST_CHANCE
 from lbacal_core.grids import Floats
 from lbacal_core.linear import invert_symmetric
 
@@ -162,8 +163,6 @@ ORDINARY = 0.01
 """Share of events far outside the noise that is no structure: interference that was left, in drawn worlds 0.7 %."""
 SMALLEST_TOTAL = 1e-6
 """Floor of the sum of squares of the noise: exact data have none."""
-SMALLEST_CHANCE = 1e-300
-"""Floor of a probability of which the logarithm is taken."""
 
 
 @dataclass(frozen=True)

@@ -171,7 +171,7 @@ def find_significance(chi2: Floats, modes: int) -> Floats:
 
 
 def find_threshold(false_alarms: float, trials: int, modes: int) -> float:
-    """The chi-square that so many trials exceed by chance in `false_alarms` of all cases."""
+    """The chi-square of `modes` degrees of freedom that a trial exceeds by chance in `false_alarms` of all cases."""
     return float(scipy.special.chdtri(modes, false_alarms / max(trials, 1)))
 
 

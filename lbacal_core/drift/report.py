@@ -22,7 +22,7 @@ from lbacal_core.grids import Floats
 
 SAME_DATE = 3.0
 """Standard deviations of the difference of two dates within which they are one."""
-ONE_DAY_S = 86_400.0
+DAY_S = 86_400.0
 
 
 @dataclass(frozen=True)
@@ -110,10 +110,9 @@ def _is_same_date(one: Change, other: Change) -> bool:
     if one.station != other.station or one.is_known != other.is_known:
         return False
     error = float(np.hypot(one.date_sigma_s, other.date_sigma_s))
-    return abs(one.date_unix - other.date_unix) <= SAME_DATE * error + ONE_DAY_S
+    return abs(one.date_unix - other.date_unix) <= SAME_DATE * error + DAY_S
 
 
-DAY_S = 86_400.0
 DIGITS = 7
 SILENT_EVENTS = 20
 """So many events of others, eight days of a LOFAR year, without one of a path: it is lost, or sees no sky."""

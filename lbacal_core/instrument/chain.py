@@ -209,7 +209,7 @@ WATT_PER_MHZ = 1e6 * BOLTZMANN
 
 
 def noise_constants(instrument: Instrument, form: str = PUBLISHED) -> Intercepts:
-    """The noise constants of an instrument: those of its stages, or of a form of eq. full_chain where it lists none.
+    """The noise constants of an instrument: of its stages, or of one of `FORMS` of eq. full_chain where it lists none.
 
     A temperature that is known at the input of a stage is referred to the sky through the tables of what stands in
     front of it: N G_ant g_1 ... = k_B T.

@@ -231,7 +231,7 @@ PATTERN = "antenna pattern"
 
 
 def list_changes(instrument: Instrument, sky_budget: str = DEFAULT_SKY_BUDGET) -> list[SkyTerm]:
-    """How far sky, pattern and ground may be from what C is made with; terms alike up to a bracket are one.
+    """How far sky (by one of `SKY_BUDGETS`), pattern and ground may be from what C is made with; terms alike are one.
 
     Where no sky or antenna model reaches the instrument's channels, the level of the sky alone.
     """

@@ -157,7 +157,7 @@ class Simulation:
         return self._exchange("causes", causes)
 
     def with_form(self, form: str) -> Simulation:
-        """The same with another form of the chain; what was computed is kept but for the noise constants."""
+        """The same with another of `chain.FORMS`; what was computed is kept but for the noise constants."""
         other = self._exchange("form", form)
         vars(other).pop("noise", None)
         return other

@@ -108,7 +108,7 @@ class ModelDifferences:
     frequency_mhz: Floats
 
     def changes_at(self, dipole: str, lst_hours: Floats) -> Floats:
-        """Changes along LST at events, shape (mode, event, freq)."""
+        """Changes along LST at sidereal hours, shape (event,), of events: shape (mode, event, freq)."""
         return read_at(self.shape[dipole], lst_hours)
 
     def isotropic_at(self, dipole: str, lst_hours: Floats) -> Floats:

@@ -91,7 +91,7 @@ def sky_power_modes(
 def combine(
     temperature: Complexes, beam: Complexes, arm_azimuth_deg: float, latitude_deg: float, frequency_mhz: Floats
 ) -> Complexes:
-    """Fourier terms of P_sky from the sky's multipoles on the equator of date and those of the beam."""
+    """Fourier terms of P_sky, (m, freq), from multipoles of sky and beam, (freq, l, m), on the equator of date."""
     seen = beam_on_equator(beam, arm_azimuth_deg, latitude_deg)
     return np.asarray(np.einsum("flm,flm->mf", temperature, seen) * power_per_kelvin_sr(frequency_mhz))
 

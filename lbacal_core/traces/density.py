@@ -47,7 +47,7 @@ def transform_blocks(blocks: NDArray[np.int16]) -> NDArray[np.complex64]:
 
 
 def transform_in_place(blocks: NDArray[np.float32]) -> NDArray[np.complex64]:
-    """Fourier transform of blocks that may be overwritten."""
+    """Fourier transform of Hann-windowed blocks, shape (block, sample), which it overwrites: (block, channel)."""
     blocks *= hann(blocks.shape[1])
     return np.asarray(scipy.fft.rfft(blocks, axis=1, overwrite_x=True), dtype=np.complex64)
 
@@ -323,7 +323,7 @@ def find_steady_phases(stability: Floats, pairs: int, channel_mhz: float) -> Fla
 
 
 def unit_phases(transform: NDArray[np.complex64]) -> NDArray[np.complex64]:
-    """A transform with all amplitudes set to 1 (0 stays 0)."""
+    """A transform with all amplitudes set to 1 (0 stays 0), same shape."""
     size = transform.real**2
     size += transform.imag**2
     np.maximum(size, np.finfo(np.float32).tiny, out=size)

@@ -1,4 +1,4 @@
-"""Faults of the active antenna: its resonance, its amplifier's noise and gain."""
+"""Faults behind the dipole: resonance, amplifier, cable, receiver and converter."""
 
 from __future__ import annotations
 

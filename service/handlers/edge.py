@@ -169,7 +169,7 @@ class _Exchange:
 
     @property
     def caller(self) -> str | None:
-        """The number of the key that was accepted, never its text."""
+        """The number of the key that was accepted, never its text; None without a key."""
         state: MutableMapping[str, Any] = self.scope.get("state", {})
         return state.get("caller")
 

@@ -99,7 +99,7 @@ def describe_model(one: AdoptedModel) -> dict[str, Any]:
 
 
 def describe_cause(cause: AdoptedCause, gains: Sequence[Gain]) -> dict[str, Any]:
-    """An adopted cause and what it gained, as JSON values."""
+    """An adopted cause as JSON values, with what it gained as `gains`."""
     content = cause.as_dict()
     gained = [fill_answer(wire.GainAnswer, one, log_likelihood_gain=one.gain) for one in gains]
     named = {name: content[name] for name in ("cause", "target", "parameters", "size", "sigma", "since", "until")}

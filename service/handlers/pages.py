@@ -350,7 +350,7 @@ def _draw_date(use: Factory, path: Scope, found: CurveInEffect) -> dict[str, Cha
     _, prediction = use.predictions.of(str(path.station), path.antenna or 0, str(path.dipole), found.at, None)
     if prediction.per_kelvin is not None:
         kelvin = {term: power / prediction.per_kelvin for term, power in prediction.contributions.items()}
-        drawn["noise"] = draw_noise(prediction.frequency_mhz, kelvin, f"noise of {name}")
+        drawn["noise"] = draw_noise(prediction.frequency_mhz, kelvin, f"noise of {name} at the start of the chain")
     beside = use.predictions.beside_data(found)
     if beside is not None:
         over_lst, departures = beside

@@ -26,7 +26,7 @@ log = structlog.get_logger()
 
 
 def problem(status: int, code: str, detail: str, retry_s: float = RETRY_S) -> Response:
-    """One problem; `retry_s` is when to ask again, where that may help."""
+    """Describe a problem, the code in its `type`; 429 and 503 say to ask again in `retry_s`."""
     content = {"type": f"urn:lbacal:{code}", "title": HTTPStatus(status).phrase, "status": status, "detail": detail}
     headers = {}
     if status == HTTPStatus.UNAUTHORIZED:

@@ -132,7 +132,7 @@ def _as_bytes(content: Any) -> bytes:
 
 
 def ordered(body: type[AnyBody], scope: str) -> Any:
-    """A dependency that yields the order of a caller with a scope."""
+    """A dependency that yields the order of a caller whose key has a scope, such as `refits:run`."""
     who = caller_with(scope)
 
     async def read(

@@ -323,7 +323,7 @@ def find_days(life: Life, drift: DriftSeries, span: Span) -> tuple[float, float]
 
 
 def draw_matrix(station: str, years: Sequence[str], span: Span) -> Chart | None:
-    """Every path of a station beside its median, month by month; a row leads to its path."""
+    """Every path of a station beside its median, month by month; a row leads to its path. None without a month."""
     tables = [json.loads(year) for year in years]
     cells = {
         (antenna, dipole, month): value

@@ -127,7 +127,7 @@ def format_day(instant: Instant | None) -> str:
 
 
 def format_moment(instant: Instant) -> str:
-    """Write an instant to the second."""
+    """Write an instant to the second, such as 2014-05-01 00:00:00, UTC."""
     return datetime.fromtimestamp(instant // 1_000_000, UTC).strftime("%Y-%m-%d %H:%M:%S")
 
 

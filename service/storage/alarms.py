@@ -152,7 +152,7 @@ class AlarmStore(Store):
         return [_value(row) for row in self._connection.execute(statement)]
 
     def count(self, now: Instant, state: str) -> dict[str, int]:
-        """How many there are in a state, by kind."""
+        """How many there are in one of `STATES`, by kind."""
         statement = select(alarm.c.kind, func.count()).where(_in_state(state, now)).group_by(alarm.c.kind)
         return {kind: int(count) for kind, count in self._connection.execute(statement.order_by(alarm.c.kind))}
 

@@ -239,7 +239,7 @@ class KeptChange:
 
     @property
     def slow(self) -> SlowChange | None:
-        """The ramp or season that C follows, while it is in force."""
+        """The ramp or season that C follows, while it is in force; None of another change."""
         one = self.change
         if not self.stands or one.kind not in (RAMP, SEASON) or one.size is None:
             return None

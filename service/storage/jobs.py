@@ -196,7 +196,7 @@ class JobStore(Store):
         return self._connection.execute(statement.where(same, job.c.due_name != due_name).limit(1)).first() is not None
 
     def claim(self, worker: str, *, lease_us: int, inputs: str | None = None) -> Part | None:
-        """Take a part that is queued, or whose worker has been silent for longer than its lease.
+        """Take a part that is queued, or whose worker was silent for longer than its lease; None where there is none.
 
         Parts that need other inputs than the worker's are left to others. Due work comes first: however much somebody
         asks for, the night is not behind it; and of it what C follows from, before investigations. Jobs that were asked
@@ -296,7 +296,7 @@ class JobStore(Store):
         return self._connection.execute(statement.where(job_part.c.state.in_(OPEN)).limit(1)).first() is not None
 
     def waiting(self) -> dict[str | None, int]:
-        """How many parts are queued, by the inputs that they need."""
+        """How many parts are queued, by the inputs that they need (None: any)."""
         statement = select(job_part.c.inputs, func.count().label("parts")).where(IS_OPEN, job_part.c.state == QUEUED)
         return {row.inputs: row.parts for row in self._connection.execute(statement.group_by(job_part.c.inputs))}
 

@@ -52,7 +52,7 @@ class KeyStore(Store):
         return int(self._connection.execute(api_key.insert().values(row).returning(api_key.c.id)).scalar_one())
 
     def find(self, sha256: str) -> Key | None:
-        """The key with a hash, valid or not."""
+        """The key with a hash, valid or not; None where there is none."""
         rows = self._keys(sha256)
         return rows[0] if rows else None
 
@@ -62,7 +62,7 @@ class KeyStore(Store):
         self._connection.execute(session.insert().values(sha256=sha256, key=key, expires_us=expires))
 
     def of_session(self, sha256: str, now: Instant) -> Key | None:
-        """The key of a session that lasts, valid or not."""
+        """The key of a session that lasts, valid or not; None where none lasts."""
         of = select(api_key.c.sha256).join(session).where(session.c.sha256 == sha256, session.c.expires_us > now)
         found = self._connection.execute(of).scalar_one_or_none()
         return None if found is None else self.find(found)
@@ -106,7 +106,7 @@ class DeedStore(Store):
     """Completed requests by caller and idempotency key."""
 
     def begin(self, by: str, name: str, request_sha256: str, now: Instant) -> Deed | None:
-        """Take a name; the request that has it already, once that is done: somebody who does it now is waited for."""
+        """Take a name (None), or get the request that has it, once that is done: who does it now is waited for."""
         self._connection.execute(delete(deed).where(deed.c.at_us < now - KEPT_US))
         row = {"by": by, "name": name, "request_sha256": request_sha256, "at_us": now}
         statement = insert_into(self._connection, deed).values(row).on_conflict_do_nothing().returning(deed.c.name)
@@ -115,7 +115,7 @@ class DeedStore(Store):
         return self.find(by, name)
 
     def find(self, by: str, name: str) -> Deed | None:
-        """The request under a name, once it is done."""
+        """The request under a name, once it is done; None until then."""
         statement = select(deed).where(deed.c.by == by, deed.c.name == name, deed.c.answer.is_not(None))
         found = self._connection.execute(statement).one_or_none()
         return None if found is None else from_row(Deed, found)

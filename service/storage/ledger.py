@@ -331,7 +331,7 @@ class LedgerStore(Store):
         return [_value(row) for row in self._connection.execute(statement.order_by(promotion.c.id))]
 
     def newest_instant(self) -> Instant | None:
-        """The instant before which nothing can be promoted any more: of the newest promotion or the newest tag."""
+        """The instant of the newest promotion or tag, before which nothing can be promoted any more; None without."""
         instants = select(func.max(promotion.c.at_us)).union_all(select(func.max(tag.c.as_of_us)))
         return max((one for one in self._connection.execute(instants).scalars() if one is not None), default=None)
 
@@ -418,7 +418,7 @@ class TagStore(Store):
     """Tags are made once and never changed."""
 
     def find(self, name: str) -> Tag | None:
-        """Find a tag by its name."""
+        """Find a tag by its name; None where there is none."""
         row = self._connection.execute(select(tag).where(tag.c.name == name)).one_or_none()
         return None if row is None else from_row(Tag, row)
 

@@ -163,7 +163,7 @@ class ModelStore(Store):
         return acting if station is None else acting.of_stations([station])
 
     def last_change(self, station: str | None, since: Instant, until: Instant) -> ModelChange | None:
-        """The newest change that touches a window, of one station or of all."""
+        """The newest change that touches a window, of one station or of all (None); None where none does."""
         touching = [one for one in self.changes(station) if one.touches(since, until)]
         return touching[-1] if touching else None
 
@@ -215,7 +215,7 @@ class InvestigationStore(Store):
         add_rows(self._connection, investigation, [row])
 
     def find(self, name: str) -> Investigation | None:
-        """Find the investigation of that id."""
+        """Find the investigation of that id; None where there is none."""
         row = self._connection.execute(select(investigation).where(investigation.c.id == name)).one_or_none()
         return None if row is None else _value(row)
 
@@ -248,7 +248,7 @@ class InvestigationStore(Store):
         return self._ranked(window, _NEWEST, 1, is_shown=investigation.c.verdict != "consistent")
 
     def newest_pairs(self) -> list[tuple[Investigation, Investigation | None]]:
-        """The newest investigation of every station's last window, and the one before it, of that window or an earlier.
+        """The newest investigation of every station's last window, and any one before it, of that or an earlier.
 
         Stations come in alphabetical order.
         """

@@ -49,7 +49,7 @@ class ProcessStore(Store):
     """Processes by their names, seen by the clock of the database."""
 
     def see(self, name: str, kind: str, inputs: str | None) -> None:
-        """Note that a process lives, and forget those that died a day ago."""
+        """Note that a process (`api`, `scheduler`, `worker`) lives, and forget those that died a day ago."""
         now = read_database_clock(self._connection)
         row = {"name": name, "kind": kind, "started_us": now, "seen_us": now, "inputs": inputs}
         statement = insert_into(self._connection, process).values(row)

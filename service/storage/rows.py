@@ -54,7 +54,7 @@ def equal(table: Table, **wanted: Any) -> list[ColumnElement[bool]]:
 
 
 def scope_columns(scope: Scope) -> dict[str, Any]:
-    """A scope by the names of its columns."""
+    """The columns `scope` (its key), `station`, `antenna` and `dipole` of a scope; None where it names none."""
     return {"scope": scope.key, "station": scope.station, "antenna": scope.antenna, "dipole": scope.dipole}
 
 

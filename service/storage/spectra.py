@@ -117,7 +117,7 @@ class Arrivals:
         return {row.sha256: (row.spectra, json.loads(row.warnings or "[]")) for row in rows}
 
     def newest(self) -> Instant | None:
-        """Find when spectra arrived last."""
+        """Find when spectra arrived last over HTTP; None where none ever did."""
         newest: Instant | None = self._connection.execute(select(func.max(receipt.c.at_us))).scalar_one()
         return newest
 
@@ -427,7 +427,7 @@ class SpectraStore(Store):
         return list(self._connection.execute(select(path.c.station).distinct().order_by(path.c.station)).scalars())
 
     def span(self) -> tuple[Instant, Instant] | None:
-        """First and last instant of any event."""
+        """First and last instant of any event; None without events."""
         row = self._connection.execute(select(func.min(event.c.time_us), func.max(event.c.time_us))).one()
         return None if row[0] is None else (int(row[0]), int(row[1]))
 

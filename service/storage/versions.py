@@ -31,7 +31,7 @@ PARTS_REMEMBERED = 64
 
 
 def write_chains(connection: Connection, chains: Mapping[str, Mapping[str, ReferenceChain]]) -> dict[str, str | None]:
-    """Store what the chains of versions share, and give each version's own part as canonical JSON."""
+    """Store what the chains of versions share, and give each version's own part, canonical JSON; None without."""
     parts: dict[str, str] = {}
     for chain in (chain for of_version in chains.values() for chain in of_version.values()):
         shared = (chain.cables,) if chain.spreads is None else (chain.cables, chain.spreads)
@@ -183,7 +183,7 @@ class Version:
         return next(curve for curve in self.curves if curve.dipole in (dipole, None))
 
     def cable_of(self, path: Scope, instant: Instant) -> str | None:
-        """Name of the cable of a path at an instant, as the version's own chain knows it."""
+        """Name of the cable of a path at an instant, as the version's own chain knows it; None where it does not."""
         chain = self.chains.get(str(path.dipole))
         seconds = instant / SECOND_US
         return None if chain is None else chain.cables.cable_of(str(path.station), int(str(path.antenna)), seconds)
@@ -273,7 +273,7 @@ class VersionStore(Store):
         put_rows(self._connection, examined, [to_row(one, examined, scope=one.scope.key) for one in ordered])
 
     def confirmation(self, version_id: str) -> Examined | None:
-        """The fit that confirmed a version last."""
+        """The fit that confirmed a version last; None where none did."""
         statement = select(examined).where(examined.c.calibration == version_id)
         row = self._connection.execute(statement.order_by(examined.c.made_us.desc()).limit(1)).one_or_none()
         return None if row is None else from_row(Examined, row, scope=parse_scope(row.scope))
@@ -330,7 +330,7 @@ class VersionStore(Store):
         return found
 
     def misfits(self) -> dict[tuple[str | None, str, Instant, Instant], list[str]]:
-        """Versions that misfit and that no newer one of their window replaced, by station, level and window."""
+        """Versions that misfit and that no newer one of their window replaced, by station or None, level and window."""
         statement = (
             select(calibration).where(calibration.c.status == MISFIT, ~_has_newer()).order_by(calibration.c.scope)
         )
@@ -420,7 +420,7 @@ class BudgetStore(Store):
         return {name: json.loads(text) for name, text in self.get_texts(digests).items()}
 
     def get_texts(self, digests: Iterable[str]) -> dict[str, str]:
-        """The same as they are stored, as canonical JSON."""
+        """Budgets by their hash as they are stored, canonical JSON; unknown ones are left out."""
         wanted = sorted(set(digests))
         found: dict[str, str] = {}
         for start in range(0, len(wanted), MANY_KEYS):

@@ -349,7 +349,7 @@ def find_announced(change: ModelChange, scope: Scope, dipole: str) -> tuple[floa
 
 
 def find_change_of_mean(version: Version, predecessor: Version, dipole: str) -> float | None:
-    """Change of the band mean of C through one and the same cable: which antennas were averaged is not a jump."""
+    """Change of the band mean of C through one cable, None without both: which antennas were averaged is no jump."""
     if not (version.serves(dipole) and predecessor.serves(dipole)):
         return None
     is_known = dipole in version.chains and dipole in predecessor.chains

@@ -88,7 +88,7 @@ class Promotions:
             return Plan(wanted, self.changes(stores, wanted), stores.ledger.newest_number(), left_out)
 
     def plan_rollback(self, number: int, body: ReasonBody, by: str) -> Plan:
-        """Work out how to undo a promotion and all that were one act with it."""
+        """Work out how to undo a promotion and all that were one act with it; nothing is written."""
         with self.database.read() as stores:
             act = stores.ledger.act_of(number)
             if not act:
@@ -124,7 +124,8 @@ class Promotions:
             scope = version.scope
             if stated not in (Scope(), scope) or (body.scope is not None and scope != Scope()):
                 raise BadInputError("body", f"the scope of the version, {scope.key}", stated.key)
-            _require_converged(version)
+            if version.status != CONVERGED:
+                raise ConflictError(f"calibration {version.id} cannot be promoted: its status is {version.status}")
         return Promotion(
             number=0,
             scope=scope,
@@ -174,11 +175,6 @@ def undo(made: Promotion, before: Sequence[Promotion], by: str, reason: str) -> 
         end = min(ends, default=None)
         if end is None or start < end:
             yield Promotion(0, made.scope, start, end, stretch.calibration, LAST, by, reason)
-
-
-def _require_converged(version: Version) -> None:
-    if version.status != CONVERGED:
-        raise ConflictError(f"calibration {version.id} cannot be promoted: its status is {version.status}")
 
 
 def _differences(path: Scope, before: Sequence[Stretch], after: Sequence[Stretch]) -> list[Change]:

@@ -137,7 +137,7 @@ class Server:
 def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Cache:
     """A cache in which every sync is a day after the one before."""
     days = itertools.count(parse_instant("", "2026-01-01"), 86_400_000_000)
-    monkeypatch.setattr(cache, "_now", lambda: next(days))
+    monkeypatch.setattr(cache, "read_clock", lambda: next(days))
     return Cache(tmp_path)
 
 

@@ -16,7 +16,7 @@ def test_spectra_draw_the_median_of_each_dipole_and_the_middle_of_its_events() -
     shown = BackgroundSpectra.of(spectra)
     (chart,) = shown.shown.charts()
     names = [one.name for one in chart.series if one.name]
-    assert names == ["CS002 X, median", "CS002 Y, median"]
+    assert names == ["CS002 X, median and 68 %", "CS002 Y, median and 68 %"]
     for band, line, dipole in zip(chart.series[::2], chart.series[1::2], "XY", strict=True):
         power = spectra.power[spectra.dipole == dipole]
         np.testing.assert_allclose(line.y, np.median(power, axis=0))

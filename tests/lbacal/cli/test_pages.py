@@ -219,7 +219,10 @@ def test_the_table_has_a_row_a_term_and_their_sum_in_quadrature():
 
 def test_the_figure_stacks_every_term_below_the_total():
     charts = draw_budget(Budget(FREQUENCY_OF_BUDGET, TERMS), TERMS)
-    assert [chart.title for chart in charts] == ["polarisation X", "polarisation Y", "terms of the error of C"]
+    assert [chart.title for chart in charts] == [
+        *(f"polarisation {p}, added in quadrature" for p in "XY"),
+        "terms of the error of C",
+    ]
     *terms, total = charts[0].series
     np.testing.assert_allclose(total.y[0], 100 * np.hypot(0.11, 0.03))
     assert [one.name for one in terms] == [term.name for term in TERMS]

@@ -9,10 +9,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from lbacal.instants import read_clock
 from lbacal_core.curves.covariance import Budget, BudgetTerm, parse_budget
 from lbacal_core.curves.validity import Promotion, Scope
 from service.errors import NotFoundError, UnavailableError
-from service.factory import Factory, read_clock
+from service.factory import Factory
 from service.storage.ledger import Neighbours
 from tests.oracles import answer_path
 from tests.service.conftest import new_version

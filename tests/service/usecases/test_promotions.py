@@ -9,10 +9,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from lbacal.instants import DAY_US, format_instant
+from lbacal.instants import DAY_US, format_instant, read_clock
 from lbacal_core.curves.validity import Promotion, Scope
 from service.errors import ConflictError, UnavailableError
-from service.factory import Factory, read_clock
+from service.factory import Factory
 from service.storage.versions import Version
 from service.wire.bodies import PromotionBody, TagBody
 
