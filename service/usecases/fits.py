@@ -371,7 +371,9 @@ def _name_sizes(whole: FittedCauses, wanted: Wanted, neighbours: Neighbours) -> 
     """What names the versions of a fit besides their own spectra: changes taken out, and what sizes were fitted to."""
     named = {}
     if wanted.taken_out:
-        sources = sorted([*map(str, owner), spectra] for owner, (_, spectra) in neighbours.behind.items())
+        of = {(one.station, one.antenna) for one in wanted.taken_out}
+        behind = [(owner, name) for owner, (_, name) in neighbours.behind.items() if {owner[:2], (owner[0], None)} & of]
+        sources = sorted([*map(str, owner), name] for owner, name in behind)
         named["changes"] = hash_content([wanted.named, sources])
     if whole.model.is_plain:
         return named

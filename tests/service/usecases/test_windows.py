@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
+from lbacal_core.causes.model import Model
 from lbacal_core.curves.kept_lines import KeptLines
+from lbacal_core.curves.validity import Scope
+from service.storage.changes import Cut
 from service.storage.sums import KeptPiece
+from service.usecases.fits import Wanted, _name_sizes
 from service.usecases.windows import ALONE, Neighbours
 from tests.service.conftest import instant
 
@@ -42,3 +48,22 @@ def test_a_change_between_two_windows_parts_the_paths_that_it_concerns() -> None
     assert is_same({("CS002", 1): [before, after]}, EARLY) == [True] * 4
     assert is_same({("CS003", 0): [after]}, LATE) == [True, True, False, True]
     assert is_same({("CS003", 0): [YEAR[1]]}, replace(LATE, since=YEAR[1])) == [True, True, False, True]
+
+
+def test_a_mean_is_named_by_the_noise_of_the_antennas_whose_changes_are_taken_out_of_it() -> None:
+    """By that of all antennas it had another name after a decision about one of them was taken and undone."""
+    year = instant("2014-01-01"), instant("2015-01-01")
+    change = Cut("CS002", 1, instant("2014-07-01"), power=0.9)
+    wanted = Wanted("station", Scope("CS002"), *year, Model(), "test", "test", (change,))
+    whole: Any = SimpleNamespace(model=Model())
+
+    def name(own: str, other: str) -> dict[str, str]:
+        behind = {("CS002", 1, "X"): (np.ones(3), own), ("CS002", 2, "X"): (np.ones(3), other)}
+        return _name_sizes(whole, wanted, Neighbours((), {}, behind))
+
+    assert name("a", "b") == name("a", "c") != name("c", "b")
+    of_all = replace(wanted, scope="array", of=Scope(), changed=(replace(change, antenna=None),))
+    behind = {("CS002", antenna, "X"): (np.ones(3), "a") for antenna in (1, 2)}
+    fewer = {key: of for key, of in behind.items() if key[1] == 1}
+    names = [_name_sizes(whole, of_all, Neighbours((), {}, one)) for one in (behind, fewer)]
+    assert names[0] != names[1]
