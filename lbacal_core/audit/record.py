@@ -19,6 +19,7 @@ from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.instrument.sidereal import SIDEREAL_DAY_S
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.spectra import Spectra
+from lbacal_core.spectra.stations import Recorded
 
 SITE = Description(
     "site",
@@ -128,9 +129,10 @@ NOT_NAMED = (
 )
 
 
-def name_mistake(spectra: Spectra, simulation: Simulation) -> str:
+def name_mistake(spectra: Recorded, simulation: Simulation) -> str:
     """Name the error of a record, in the audit's words, where P_sky of another record describes the data better."""
-    lines = audit(spectra, simulation.instrument, others=simulation.models).lines
+    audits = spectra.each(lambda own: audit(own, simulation.instrument, others=simulation.models).lines)
+    lines = [one for of_stations in audits for one in of_stations]
     errors = [RecordError(one) for one in lines if one.verdict == WRONG and (one.kind in _OF_KIND or one.candidates)]
     return " ".join(one.sentence for one in errors) or NOT_NAMED
 

@@ -37,6 +37,7 @@ from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.sky_terms import SkyTerm
 from lbacal_core.sky.table import read_at
 from lbacal_core.spectra.spectra import Spectra
+from lbacal_core.spectra.stations import Recorded
 
 EXCLUDED = 2.0
 """Data that are less probable with an antenna than with the instrument's own by exp of this exclude it."""
@@ -125,7 +126,7 @@ class _Refit:
 
 
 def compute_budget(
-    spectra: Spectra,
+    spectra: Recorded,
     simulation: Simulation,
     sky_budget: str = DEFAULT_SKY_BUDGET,
 ) -> Budget:

@@ -38,7 +38,7 @@ from lbacal_core.linear import invert_symmetric, solve_symmetric
 from lbacal_core.simulation.prior import SKY_HARMONICS, SkyPrior
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.table import harmonics_at
-from lbacal_core.spectra.spectra import Spectra
+from lbacal_core.spectra.stations import Recorded
 
 PRIOR: Mapping[str, float] = dict(zip(FORMS, read_prior()["chain_form"].sizes, strict=True))
 """Probability of each form before the data are asked."""
@@ -102,7 +102,7 @@ PUBLISHED_FORM = ChainForm({PUBLISHED: 1.0})
 """What spectra that cannot tell say."""
 
 
-def compare_forms(spectra: Spectra, simulation: Simulation) -> ChainForm:
+def compare_forms(spectra: Recorded, simulation: Simulation) -> ChainForm:
     """The probability of each form of the chain, by the mean path of each polarisation."""
     found: ChainForm = simulation.made.get(
         (FORM_OF_CHAIN, spectra.digest()), lambda: _compare_forms(spectra, simulation.with_form(PUBLISHED))
@@ -120,7 +120,7 @@ def list_forms(simulation: Simulation) -> Mapping[str, Intercepts]:
     return {form: noise_constants(instrument, form) for form in FORMS if not (form == BEHIND and is_flat)}
 
 
-def _compare_forms(spectra: Spectra, simulation: Simulation) -> ChainForm:
+def _compare_forms(spectra: Recorded, simulation: Simulation) -> ChainForm:
     forms = list_forms(simulation)
     if len(forms) == 1 or len(spectra) == 0:
         return PUBLISHED_FORM

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
+from operator import add
 
 import numpy as np
 from numpy.typing import NDArray
@@ -146,13 +148,18 @@ class _Events:
     is_odd: NDArray[np.bool_]
 
 
+def _no_events(kept: KeptLines) -> _Events:
+    paths, channels = kept.slope.shape
+    return _Events(np.zeros(0), np.ones((paths, 0, channels)), np.ones((paths, 0)), np.zeros(paths, dtype=bool))
+
+
 def _read_paths(kept: KeptLines, blocks: Sequence[SpectraBlock], simulation: Simulation) -> _Events:
     """The new events of single paths, on one grid."""
     station, _, dipole = kept.owners[0]
     block = next((b for b in blocks if (b.station, b.dipole) == (station, dipole)), None)
     paths, channels = kept.slope.shape
     if block is None:
-        return _Events(np.zeros(0), np.ones((paths, 0, channels)), np.ones((paths, 0)), np.zeros(paths, dtype=bool))
+        return _no_events(kept)
     row = {antenna: k for k, (_, antenna, _) in enumerate(kept.owners)}
     is_known = np.array([antenna in row for antenna in block.antennas.tolist()])
     at = [row[antenna] for antenna in block.antennas[is_known].tolist()]
@@ -174,21 +181,23 @@ def _read_mean(
     """The new events of a mean over its members."""
     station, _, dipole = kept.owners[0]
     own = [block for block in blocks if block.dipole == dipole and station in (None, block.station)]
-    events = np.unique(np.concatenate([block.event_id for block in own])) if own else np.zeros(0)
-    mean, lst_hours, is_odd = MeanOfEvents(events.size, kept.slope.shape[1]), np.zeros(events.size), False
+    parts, is_odd = list[MeanOfEvents](), False
     for block in own:
-        at = np.searchsorted(events, block.event_id)
-        lst_hours[at] = simulation.sidereal_time(station, block.time_unix)
+        lst_hours = simulation.sidereal_time(station, block.time_unix)
         sky = simulation.sky_at(block.station, dipole, block.time_unix)
         of_station = np.flatnonzero((members.stations == block.station) & ~members.is_away)
         is_member = np.isin(block.antennas, members.antennas[of_station])
         place = of_station[np.searchsorted(members.antennas[of_station], block.antennas[is_member])]
-        expected = members.slope[place, None] * sky + members.intercept[place, None]
+        here = members.take(place)
+        expected = here.slope[:, None] * sky + here.intercept[:, None]
         power, variance = block.power[is_member], relative_variance_of(block, kept.typical_blocks)[is_member]
-        is_odd = is_odd or bool(np.any(_is_odd(power, expected, variance, members.scatter[place])))
-        mean.add(at, power, sky, members.slope[place], members.intercept[place], members.level[place], variance)
-    power, variance = mean.take(simulation.sky_power.of_station(station).at(dipole, lst_hours), members)
-    return _Events(lst_hours, power[None], variance[None] / kept.variance_unit, np.array([is_odd]))
+        is_odd = is_odd or bool(np.any(_is_odd(power, expected, variance, here.scatter)))
+        parts.append(MeanOfEvents.of(block, lst_hours, sky, here, power, variance))
+    if not parts:
+        return _no_events(kept)
+    mean = reduce(add, parts)
+    power, variance = mean.take(simulation.sky_power.of_station(station).at(dipole, mean.lst_hours), members)
+    return _Events(mean.lst_hours, power[None], variance[None] / kept.variance_unit, np.array([is_odd]))
 
 
 def _is_odd(power: Floats, expected: Floats, variance: Floats, scatter: Floats) -> NDArray[np.bool_]:

@@ -82,7 +82,7 @@ from lbacal_core.instrument.chain import Intercepts, calibration_factor
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import Provenance
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.spectra.spectra import Spectra
+from lbacal_core.spectra.stations import Recorded
 
 SCOPES = ("array", "station", "antenna")
 ONE_TIME_BINS = 12
@@ -97,7 +97,7 @@ TOO_SMALL = (TOO_FEW_EVENTS, TOO_FEW_LST_BINS)
 
 
 def fit_calibration(
-    spectra: Spectra,
+    spectra: Recorded,
     simulation: Simulation,
     scope: str = "antenna",
     beside: Sequence[Beside] = (),
@@ -107,7 +107,8 @@ def fit_calibration(
     Parameters
     ----------
     spectra
-        The spectra of the window to be calibrated: one fit uses them all.
+        The spectra of the window to be calibrated: one fit uses them all. For the array they may be read station by
+        station.
     simulation
         On the same channels as the spectra. Data that its prior of P_sky does not allow for are a misfit.
     scope
@@ -123,9 +124,10 @@ def fit_calibration(
     """
     require_name("scope", scope, SCOPES)
     instrument, prior = simulation.instrument, simulation.prior
-    require_same_grid(spectra.origin, spectra.frequency_mhz, instrument.frequency_mhz, f"instrument {instrument.name}")
+    head = spectra.head
+    require_same_grid(head.origin, head.frequency_mhz, instrument.frequency_mhz, f"instrument {instrument.name}")
     if len(spectra) == 0:
-        raise BadInputError(spectra.origin, "at least one spectrum", "none")
+        raise BadInputError(head.origin, "at least one spectrum", "none")
     same = _unchanged_cables(beside, spectra, instrument)
     cable_of = {**same, **require_one_cable_each(spectra, instrument)}
     table = CableTable.of(instrument)
@@ -192,9 +194,8 @@ def fit_calibration(
     )
 
 
-def _unchanged_cables(beside: Sequence[Beside], spectra: Spectra, instrument: Instrument) -> Cables:
+def _unchanged_cables(beside: Sequence[Beside], spectra: Recorded, instrument: Instrument) -> Cables:
     """The cables of members of means in other windows, where there is one on record, that of the window too."""
-    edges = float(spectra.time_unix.min()), float(spectra.time_unix.max())
     names = {name for one in beside if one.lines.members is not None for name in one.lines.members.names}
     held: dict[tuple[str, int], list[AntennaRecord]] = {name: [] for name in names}
     for record in instrument.antennas:
@@ -202,14 +203,13 @@ def _unchanged_cables(beside: Sequence[Beside], spectra: Spectra, instrument: In
     return {
         name: records[0].cable
         for name, records in held.items()
-        if len(records) == 1 and all(records[0].covers(edge) for edge in edges)
+        if len(records) == 1 and all(records[0].covers(edge) for edge in spectra.span_unix)
     }
 
 
-def _digest_of(instrument: Instrument, spectra: Spectra, scope: str) -> str:
+def _digest_of(instrument: Instrument, spectra: Recorded, scope: str) -> str:
     """The hash of what the curves of these spectra take from the instrument."""
-    first, last = float(spectra.time_unix.min()), float(spectra.time_unix.max())
-    stations = spectra.key_codes["station"][0].tolist()
+    (first, last), stations = spectra.span_unix, list({station for station, *_ in spectra.quarter_hashes})
     station = stations[0] if scope != "array" and len(stations) == 1 else None
     return instrument.digest_of(first, float(np.nextafter(last, np.inf)), station)
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from lbacal_core.calibration.singles import MIN_EVENTS, SingleFits, fit_singles, relative_variance_of
 from lbacal_core.calibration.spreads import SinglePaths, join_paths
@@ -20,6 +23,7 @@ from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.blocks import SpectraBlock, iterate_blocks
 from lbacal_core.spectra.screening import leave_out
 from lbacal_core.spectra.spectra import Spectra
+from lbacal_core.spectra.stations import Recorded
 
 BLOCK_SAMPLES = 1024
 LST_BINS = 96
@@ -74,32 +78,31 @@ Cables = Mapping[tuple[str, int], str]
 """The cable of each (station, antenna) over the window of a fit."""
 
 
-def require_one_cable_each(spectra: Spectra, instrument: Instrument) -> Cables:
+def require_one_cable_each(spectra: Recorded, instrument: Instrument) -> Cables:
     """The cable of every antenna: each must be known to the instrument and keep its cable over the window."""
-    instrument.require_dipoles(spectra.dipole, spectra.origin, spectra.arms_deg)
+    quarters, origin = spectra.quarter_hashes, spectra.head.origin
+    letters = spectra.dipole if isinstance(spectra, Spectra) else np.array([dipole for *_, dipole in quarters])
+    instrument.require_dipoles(letters, origin, spectra.head.arms_deg)
     found: dict[tuple[str, int], str] = {}
-    first, last = float(spectra.time_unix.min()), float(spectra.time_unix.max())
-    stations, station_at = spectra.key_codes["station"]
-    for k, station in enumerate(stations):
-        for antenna in np.unique(spectra.antenna[station_at == k]):
-            try:
-                cables = instrument.cables_between(str(station), int(antenna), first, last)
-            except BadInputError as error:
-                row = int(np.flatnonzero((spectra.station == station) & (spectra.antenna == antenna))[0])
-                place = f"{spectra.origin}: antenna, row {row}: {error.place}"
-                raise BadInputError(place, error.expected, error.found) from error
-            if len(cables) > 1:
-                raise BadInputError(
-                    f"{spectra.origin}: station {station}, antenna {antenna}",
-                    "one cable over the window: fit the time before and after the change separately",
-                    f"cables {', '.join(cables)}",
-                )
-            found[str(station), int(antenna)] = cables[0]
+    for station, antenna in sorted({(station, antenna) for station, antenna, _ in quarters}):
+        try:
+            cables = instrument.cables_between(station, antenna, *spectra.span_unix)
+        except BadInputError as error:
+            row = int(np.argmax(spectra.read(station).is_of([(station, antenna)])))
+            place = f"{origin}: antenna, row {row}: {error.place}"
+            raise BadInputError(place, error.expected, error.found) from error
+        if len(cables) > 1:
+            raise BadInputError(
+                f"{origin}: station {station}, antenna {antenna}",
+                "one cable over the window: fit the time before and after the change separately",
+                f"cables {', '.join(cables)}",
+            )
+        found[station, antenna] = cables[0]
     return found
 
 
 def paths_of_scope(
-    spectra: Spectra,
+    spectra: Recorded,
     simulation: Simulation,
     scope: str,
     cable_of: Cables,
@@ -109,32 +112,29 @@ def paths_of_scope(
 
     Parameters
     ----------
+    spectra
+        Those that are read station by station have the scope ``array`` alone.
     cable_of
         Cable names by (station, antenna): of the spectra, and of those that a mean may have although they are away.
     elsewhere
         The members of a mean in other windows that have the same hardware in all, the nearest first.
     """
-    typical, smallest = float(np.median(spectra.blocks)), radiometer_limit(spectra)
-
-    def fit(block: SpectraBlock) -> SingleFits:
-        return fit_singles(block, simulation, typical)
-
-    if scope == "antenna":
-        for block in iterate_blocks(spectra):
-            yield partial(_paths_of_block, block, simulation, typical, smallest, fit)
+    reader = _Reader(simulation, cable_of, float(np.median(spectra.blocks)), radiometer_limit(spectra))
+    if scope == "array":
+        key = "sums of the array", spectra.digest(), simulation.form
+        sums: Mapping[str, _Sums] = simulation.made.get(key, lambda: _add_up(spectra.each(reader.sum_stations)))
+        for dipole in sorted(sums):
+            yield partial(reader.average, sums[dipole], (None, None, dipole), elsewhere((None, None, dipole)))
         return
-    for station in spectra.key_codes["station"][0].tolist() if scope == "station" else [None]:
-        is_own = np.ones(len(spectra), dtype=bool) if station is None else spectra.station == station
-        for dipole in np.unique(spectra.dipole[is_own]).tolist():
-            events = np.unique(spectra.event_id[is_own & (spectra.dipole == dipole)])
-            blocks = iterate_blocks(spectra, station, dipole)
-            owner = (station, None, dipole)
-            yield partial(
-                _mean_path, blocks, events, simulation, owner, cable_of, elsewhere(owner), typical, smallest, fit
-            )
+    if not isinstance(spectra, Spectra):
+        raise BadInputError("scope", "array, where spectra are read station by station", scope)
+    for block in iterate_blocks(spectra):
+        owner = block.station, None, block.dipole
+        is_mean = scope == "station"
+        yield partial(reader.average_block, block, elsewhere(owner)) if is_mean else partial(reader.read, block)
 
 
-def radiometer_limit(spectra: Spectra) -> float:
+def radiometer_limit(spectra: Recorded) -> float:
     """The least relative scatter that the power of a typical spectrum can have, whatever the sampling rate.
 
     A channel of width B observed for a time t holds B t independent samples. Blocks are 1024 samples, taken at twice
@@ -143,142 +143,177 @@ def radiometer_limit(spectra: Spectra) -> float:
     if spectra.duration_s is not None:
         seconds = float(np.median(spectra.duration_s))
     else:
-        seconds = float(np.median(spectra.blocks)) * BLOCK_SAMPLES / (2e6 * float(spectra.frequency_mhz[-1]))
-    return float((1e6 * seconds * np.median(spectra.channel_widths())) ** -0.5)
+        seconds = float(np.median(spectra.blocks)) * BLOCK_SAMPLES / (2e6 * float(spectra.head.frequency_mhz[-1]))
+    return float((1e6 * seconds * np.median(spectra.head.channel_widths())) ** -0.5)
 
 
-def _paths_of_block(
-    block: SpectraBlock,
-    simulation: Simulation,
-    typical_blocks: float,
-    smallest_scatter: float,
-    fit: Callable[[SpectraBlock], SingleFits],
-) -> Paths:
-    """The paths of a block without anomalous spectra."""
-    fitted = fit(block)
-    screened = leave_out(block, fitted.is_left_out)
-    return Paths(
-        owners=[(block.station, int(antenna), block.dipole) for antenna in block.antennas],
-        power=screened.power,
-        relative_variance=relative_variance_of(screened, typical_blocks),
-        lst_hours=simulation.sidereal_time(block.station, block.time_unix),
-        time_unix=block.time_unix,
-        anomalies=fitted.anomalies,
-        smallest_scatter=smallest_scatter,
-        typical_blocks=typical_blocks,
-        fits=fitted,
-    )
+@dataclass(frozen=True)
+class _Reader:
+    """Makes paths of blocks of spectra; `typical_blocks` and `smallest_scatter` as in `Paths`."""
 
+    simulation: Simulation
+    cable_of: Cables
+    typical_blocks: float
+    smallest_scatter: float
 
-def _mean_path(
-    blocks: Iterator[SpectraBlock],
-    events: NDArray[np.str_],
-    simulation: Simulation,
-    owner: Owner,
-    cable_of: Cables,
-    elsewhere: Sequence[MemberLines],
-    typical_blocks: float,
-    smallest_scatter: float,
-    fit: Callable[[SpectraBlock], SingleFits],
-) -> Paths:
-    """The mean over antennas as a path of its own, the reference chain.
+    def read(self, block: SpectraBlock) -> Paths:
+        """The paths of a block without anomalous spectra."""
+        fitted = fit_singles(block, self.simulation, self.typical_blocks)
+        screened = leave_out(block, fitted.is_left_out)
+        return Paths(
+            owners=[(block.station, int(antenna), block.dipole) for antenna in block.antennas],
+            power=screened.power,
+            relative_variance=relative_variance_of(screened, self.typical_blocks),
+            lst_hours=self.simulation.sidereal_time(block.station, block.time_unix),
+            time_unix=block.time_unix,
+            anomalies=fitted.anomalies,
+            smallest_scatter=self.smallest_scatter,
+            typical_blocks=self.typical_blocks,
+            fits=fitted,
+        )
 
-    In each event the deviations from each antenna's own lines, over the antennas present, are put on the mean of the
-    lines: an antenna missing from an event then does not pull the mean towards the others. An antenna counts with its
-    power, as in the mean of the lines. If all counted alike, the scatter would be that of a mean which weak antennas
-    (long cables) enter as much as strong ones, and the variance of C would be too small by 1 + var(P_p) / mean(P_p)^2,
-    1.15 for the cables of the Superterp. The chain of the array stands where the instrument does, wherever its stations
-    stand: each deviates from its lines against the sky that it sees itself.
+    def sum_stations(self, spectra: Spectra) -> Mapping[str, _Sums]:
+        """Add up the paths of stations for the mean of the array, by dipole."""
+        # as threads of a station's blocks alone: those of all would be in memory beside the spectra
+        with threadpool_limits(1), ThreadPoolExecutor(os.cpu_count()) as pool:
+            of_stations = (iterate_blocks(spectra, one) for one in spectra.key_codes["station"][0].tolist())
+            sums = (own for blocks in of_stations for own in pool.map(self.sum_block, blocks))
+            return _add_up({own.dipole: own} for own in sums)
 
-    A path with too many anomalous spectra takes part in no event; where other windows have its lines it is a member all
-    the same. Where most have too many, they are what the station records, and are averaged.
-    """
-    station, _, dipole = owner
-    mean = MeanOfEvents(events.size, simulation.instrument.frequency_mhz.size)
-    lst_hours, time_unix = np.zeros((2, events.size))
-    anomalies: list[Anomaly] = []
-    found: list[MemberLines] = []
-    singles: list[SinglePaths] = []
-    scatters: list[Floats] = []
-    for block in blocks:
-        fitted = fit(block)
-        anomalies += fitted.anomalies
-        at = np.searchsorted(events, block.event_id)
-        lst_hours[at], time_unix[at] = simulation.sidereal_time(station, block.time_unix), block.time_unix
+    def sum_block(self, block: SpectraBlock, station: str | None = None) -> _Sums:
+        """Add up the paths of a block for the mean of a station, or of the array.
+
+        In each event the deviations from each antenna's own lines, over the antennas present, are put on the mean of
+        the lines: an antenna missing from an event then does not pull the mean towards the others. An antenna counts
+        with its power, as in the mean of the lines. If all counted alike, the scatter would be that of a mean which
+        weak antennas (long cables) enter as much as strong ones, and the variance of C would be too small by
+        1 + var(P_p) / mean(P_p)^2, 1.15 for the cables of the Superterp. The chain of the array stands where the
+        instrument does, wherever its stations stand: each deviates from its lines against the sky that it sees itself.
+
+        A path with too many anomalous spectra takes part in no event; where other windows have its lines it is a member
+        all the same. Where most have too many, they are what the station records, and are averaged.
+        """
+        fitted = fit_singles(block, self.simulation, self.typical_blocks)
         screened = leave_out(block, fitted.is_left_out)
         is_member = screened.is_present.sum(axis=1) >= MIN_EVENTS
         if np.mean(fitted.is_steady) > SHARE_OF_STEADY_PATHS:
             is_member &= fitted.is_steady
-        if not np.any(is_member):
-            continue
-        power, variance = screened.power[is_member], relative_variance_of(screened, typical_blocks)[is_member]
-        sky = simulation.sky_at(block.station, dipole, block.time_unix)
-        lines = fitted.lines.select(np.flatnonzero(is_member))
+        power, variance = screened.power[is_member], relative_variance_of(screened, self.typical_blocks)[is_member]
+        sky = self.simulation.sky_at(block.station, block.dipole, block.time_unix)
+        lines, antennas = fitted.lines.select(np.flatnonzero(is_member)), block.antennas[is_member]
         level = (lines.slope * sky.mean(axis=0) + lines.intercept).mean(axis=1)
-        mean.add(at, power, sky, lines.slope, lines.intercept, level, variance)
-        antennas = block.antennas[is_member]
         stations = np.full(antennas.size, block.station)
-        found.append(MemberLines(stations, antennas, lines.slope, lines.intercept, level, lines.levels.of_band))
-        averaged = [(block.station, int(antenna)) for antenna in antennas]
-        scatters.append(np.median(lines.levels.radiometer, axis=1))
-        singles.append(_single_paths(averaged, fitted, is_member, simulation.instrument, cable_of))
-    member_lines = join_away(join_members(found), elsewhere) if found else None
-    power, relative_variance = mean.take(simulation.sky_power.of_station(station).at(dipole, lst_hours), member_lines)
-    has_data = np.isfinite(relative_variance)
-    unit = float(np.median(relative_variance[has_data])) if np.any(has_data) else 1.0
-    relative_variance /= unit
-    return Paths(
-        owners=[owner],
-        power=power[None],
-        relative_variance=relative_variance[None],
-        lst_hours=lst_hours,
-        time_unix=time_unix,
-        anomalies=anomalies,
-        smallest_scatter=smallest_scatter,
-        scatter=np.array([np.median(np.concatenate(scatters))]) if scatters else None,
-        members=[] if member_lines is None else member_lines.names,
-        singles=join_paths(singles) if singles else None,
-        typical_blocks=typical_blocks,
-        variance_unit=unit,
-        member_lines=member_lines,
-    )
+        members = MemberLines(stations, antennas, lines.slope, lines.intercept, level, lines.levels.of_band)
+        lst_hours = self.simulation.sidereal_time(station, block.time_unix)
+        mean = MeanOfEvents.of(block, lst_hours, sky, members, power, variance)
+        if not antennas.size:
+            return _Sums(block.dipole, mean, fitted.anomalies)
+        singles = _single_paths(members.names, fitted, is_member, self.simulation.instrument, self.cable_of)
+        scatter = np.median(lines.levels.radiometer, axis=1)
+        return _Sums(block.dipole, mean, fitted.anomalies, [members], [singles], [scatter])
+
+    def average_block(self, block: SpectraBlock, elsewhere: Sequence[MemberLines]) -> Paths:
+        """The mean over the antennas of a station as a path of its own."""
+        return self.average(self.sum_block(block, block.station), (block.station, None, block.dipole), elsewhere)
+
+    def average(self, sums: _Sums, owner: Owner, elsewhere: Sequence[MemberLines]) -> Paths:
+        """The mean over antennas as a path of its own, the reference chain."""
+        station, _, dipole = owner
+        members = join_away(join_members(sums.members), elsewhere) if sums.members else None
+        sky = self.simulation.sky_power.of_station(station).at(dipole, sums.mean.lst_hours)
+        power, relative_variance = sums.mean.take(sky, members)
+        has_data = np.isfinite(relative_variance)
+        unit = float(np.median(relative_variance[has_data])) if np.any(has_data) else 1.0
+        relative_variance /= unit
+        return Paths(
+            owners=[owner],
+            power=power[None],
+            relative_variance=relative_variance[None],
+            lst_hours=sums.mean.lst_hours,
+            time_unix=sums.mean.time_unix,
+            anomalies=sums.anomalies,
+            smallest_scatter=self.smallest_scatter,
+            scatter=np.array([np.median(np.concatenate(sums.scatters))]) if sums.scatters else None,
+            members=[] if members is None else members.names,
+            singles=join_paths(sums.singles) if sums.singles else None,
+            typical_blocks=self.typical_blocks,
+            variance_unit=unit,
+            member_lines=members,
+        )
 
 
+@dataclass(frozen=True)
+class _Sums:
+    """What paths of one dipole add to a mean: to its events, and what each gave by itself."""
+
+    dipole: str
+    mean: MeanOfEvents
+    anomalies: Sequence[Anomaly]
+    members: Sequence[MemberLines] = ()
+    singles: Sequence[SinglePaths] = ()
+    scatters: Sequence[Floats] = ()
+
+    def __add__(self, other: _Sums) -> _Sums:
+        lists = ([*getattr(self, name), *getattr(other, name)] for name in list(vars(self))[2:])
+        return _Sums(self.dipole, self.mean + other.mean, *lists)
+
+
+def _add_up(parts: Iterable[Mapping[str, _Sums]]) -> Mapping[str, _Sums]:
+    """The sums of all parts by dipole, one part after the other."""
+    found: dict[str, _Sums] = {}
+    for part in parts:
+        for dipole, own in part.items():
+            found[dipole] = found[dipole] + own if dipole in found else own
+    return found
+
+
+@dataclass(frozen=True)
 class MeanOfEvents:
-    """Sums over the members of a mean, event by event; shape (event, freq) and (event,)."""
+    """Sums over members of a mean, event by event, shape (event, freq) and (event,), in the order of `event_id`."""
 
-    def __init__(self, events: int, channels: int) -> None:
-        self._deviation, self._total = np.zeros((2, events, channels))
-        self._share, self._scatter = np.zeros((2, events))
+    event_id: NDArray[np.str_]
+    lst_hours: Floats
+    time_unix: Floats
+    deviation: Floats
+    total: Floats
+    share: Floats
+    scatter: Floats
 
-    def add(
-        self,
-        at: NDArray[np.intp],
-        power: Floats,
-        sky: Floats,
-        slope: Floats,
-        intercept: Floats,
-        level: Floats,
-        relative_variance: Floats,
-    ) -> None:
-        """Add members: what they recorded, shape (path, event, freq), and what their lines say of these events."""
-        is_present = np.isfinite(relative_variance).astype(float)
-        expected = (is_present.T @ slope) * sky + is_present.T @ intercept
-        self._deviation[at] += np.einsum("pe,pef->ef", is_present, power) - expected
-        self._total[at] += expected
-        of_path = level[:, None] * is_present
-        self._share[at] += of_path.sum(axis=0)
-        self._scatter[at] += np.sum(of_path**2 * np.where(is_present > 0, relative_variance, 0.0), axis=0)
+    @classmethod
+    def of(
+        cls, block: SpectraBlock, lst_hours: Floats, sky: Floats, members: MemberLines, power: Floats, variance: Floats
+    ) -> MeanOfEvents:
+        """Add up what members recorded in the events of a block, shape (path, event, freq), and what their lines say.
+
+        `lst_hours`, shape (event,), is where the mean stands, `sky`, shape (event, freq), what the members see.
+        """
+        is_present = np.isfinite(variance).astype(float)
+        total = (is_present.T @ members.slope) * sky + is_present.T @ members.intercept
+        deviation = np.einsum("pe,pef->ef", is_present, power) - total
+        of_path = members.level[:, None] * is_present
+        scatter = np.sum(of_path**2 * np.where(is_present > 0, variance, 0.0), axis=0)
+        values = lst_hours, block.time_unix, deviation, total, of_path.sum(axis=0), scatter
+        order = np.argsort(block.event_id)
+        return cls(block.event_id[order], *(one[order] for one in values))
+
+    def __add__(self, other: MeanOfEvents) -> MeanOfEvents:
+        event_id, is_new = np.union1d(self.event_id, other.event_id), ("lst_hours", "time_unix")
+        found = {k: np.zeros((event_id.size, *one.shape[1:])) for k, one in vars(self).items() if k != "event_id"}
+        for one in (self, other):
+            at = np.searchsorted(event_id, one.event_id)
+            for name, values in found.items():
+                values[at] = getattr(one, name) + (0.0 if name in is_new else values[at])
+        return MeanOfEvents(event_id, **found)
 
     def take(self, sky: Floats, members: MemberLines | None) -> tuple[Floats, Floats]:
         """The power of the mean, shape (event, freq), and its relative variance, infinite where nobody recorded."""
-        has_data = self._share > 0
+        has_data = self.share > 0
         if members is None:
             return np.ones_like(sky), np.full(has_data.size, np.inf)
         mean = members.slope.mean(axis=0) * sky + members.intercept.mean(axis=0)
-        total = np.where(has_data[:, None], self._total, 1.0)
-        power = np.where(has_data[:, None], mean * (1.0 + self._deviation / total), 1.0)
-        return power, np.where(has_data, self._scatter / np.where(has_data, self._share, 1.0) ** 2, np.inf)
+        total = np.where(has_data[:, None], self.total, 1.0)
+        power = np.where(has_data[:, None], mean * (1.0 + self.deviation / total), 1.0)
+        return power, np.where(has_data, self.scatter / np.where(has_data, self.share, 1.0) ** 2, np.inf)
 
 
 def _single_paths(

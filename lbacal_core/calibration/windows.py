@@ -6,20 +6,18 @@ inside its window, unless they are most of them: then it is cut at their dates t
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.spectra.spectra import Spectra
+from lbacal_core.spectra.spectra import Owner, Rows, Spectra
+from lbacal_core.spectra.stations import AnySpectra, Recorded
 
 LARGEST_SHARE_LEFT_OUT = 0.5
 
-Owner = tuple[str, int]
-"""Station and antenna."""
 Cuts = Mapping[tuple[str, int | None], Sequence[float]]
 """When antennas changed, or (None) all of a station, s UTC, that the instrument does not know of."""
 NO_CUTS: Cuts = {}
@@ -27,11 +25,17 @@ NO_CUTS: Cuts = {}
 
 @dataclass(frozen=True)
 class Piece:
-    """A part of a window, [since, until) in s UTC; `rows` are its spectra, of antennas that did not change in it."""
+    """A part of a window, [since, until) in s UTC, or all of it, with the antennas that did not change in it."""
 
     since_unix: float
     until_unix: float
-    rows: NDArray[np.bool_]
+    owners: Container[Owner]
+    is_whole: bool
+
+    def rows(self, spectra: Spectra) -> Rows:
+        """Which spectra of the window are its, shape (row,)."""
+        is_inside = (spectra.time_unix >= self.since_unix) & (spectra.time_unix < self.until_unix)
+        return np.asarray(is_inside & spectra.is_of(self.owners))
 
 
 def find_hardware_changes(instrument: Instrument) -> dict[Owner, tuple[float, ...]]:
@@ -45,9 +49,14 @@ def find_hardware_changes(instrument: Instrument) -> dict[Owner, tuple[float, ..
 
 
 def cut_window(
-    spectra: Spectra, instrument: Instrument, scope: str, since_unix: float, until_unix: float, cuts: Cuts = NO_CUTS
+    spectra: Recorded,
+    instrument: Instrument,
+    scope: str,
+    since_unix: float,
+    until_unix: float,
+    cuts: Cuts = NO_CUTS,
 ) -> list[Piece]:
-    """Cut the window of a fit; pieces without spectra are left out.
+    """Cut the window of a fit; a piece may have no spectra.
 
     Parameters
     ----------
@@ -56,36 +65,37 @@ def cut_window(
     cuts
         Beside what the instrument says; an antenna of which it names a change in the window keeps to these.
     """
-    owners, owner_at = _find_owners(spectra)
-    known, changed, ends = find_hardware_changes(instrument), dict[Owner, tuple[float, ...]](), (since_unix, until_unix)
+    owners, ends = (
+        sorted({(station, antenna) for station, antenna, _ in spectra.quarter_hashes}),
+        (since_unix, until_unix),
+    )
+    known, changed = find_hardware_changes(instrument), dict[Owner, tuple[float, ...]]()
     for owner in owners:
         own = _inside(known.get(owner, ()), *ends) or _inside(cuts.get(owner, ()), *ends)
         of_station = _inside(cuts.get((owner[0], None), ()), *ends)
         if own or of_station:
             changed[owner] = tuple(sorted({*own, *of_station}))
-    if not changed:
-        return [Piece(since_unix, until_unix, np.ones(len(spectra), dtype=bool))]
-    has_changed = np.array([owner in changed for owner in owners])[owner_at]
-    rest = [] if np.all(has_changed) else [Piece(since_unix, until_unix, ~has_changed)]
-    if scope == "antenna":
-        return rest + list(_cut_each(spectra, owners, owner_at, changed, (since_unix, until_unix)))
+    steady = frozenset(owners) - changed.keys()
+    rest = [Piece(*ends, steady, is_whole=not changed)] if steady or not changed else []
+    if scope == "antenna":  # those that changed at the same dates share their pieces
+        together = {dates: {one for one in changed if changed[one] == dates} for dates in sorted(set(changed.values()))}
+        return rest + [piece for dates, own in together.items() for piece in _cut_at(dates, own, ends)]
     if len(changed) <= LARGEST_SHARE_LEFT_OUT * len(owners):
         return rest
-    edges = [since_unix, *sorted({date for dates in changed.values() for date in dates}), until_unix]
-    return list(_pieces(spectra, np.ones(len(spectra), dtype=bool), edges))
+    return list(_cut_at(sorted({date for dates in changed.values() for date in dates}), owners, ends))
 
 
 def _inside(dates: Sequence[float], since_unix: float, until_unix: float) -> list[float]:
     return [date for date in dates if since_unix < date < until_unix]
 
 
-def leave_out_changed(spectra: Spectra, instrument: Instrument) -> Spectra | None:
+def leave_out_changed(spectra: AnySpectra, instrument: Instrument) -> AnySpectra | None:
     """The spectra of antennas that did not change while these were recorded; None where there are none."""
-    first, last = float(spectra.time_unix.min()), float(spectra.time_unix.max())
-    changes = find_hardware_changes(instrument)
-    owners, owner_at = _find_owners(spectra)
-    is_whole = np.array([not any(first < d <= last for d in changes.get(o, ())) for o in owners])[owner_at]
-    return spectra if np.all(is_whole) else spectra.select(is_whole) if np.any(is_whole) else None
+    (first, last), changes = spectra.span_unix, find_hardware_changes(instrument)
+    owners = {(station, antenna) for station, antenna, _ in spectra.quarter_hashes}
+    changed = {one for one in owners if any(first < date <= last for date in changes.get(one, ()))}
+    kept = spectra.change(lambda own: own.select(~own.is_of(changed))) if changed else spectra
+    return kept if len(kept) else None
 
 
 def set_apart(spectra: Spectra, instrument: Instrument) -> tuple[Spectra, Instrument]:
@@ -128,28 +138,6 @@ def _holds(since: float | None, until: float | None, time_unix: float) -> bool:
     return (since is None or since <= time_unix) and (until is None or time_unix < until)
 
 
-def _find_owners(spectra: Spectra) -> tuple[list[Owner], NDArray[np.int64]]:
-    """The antennas that spectra are of, rising, and which of them each row is of, shape (row,)."""
-    (stations, station_at), (antennas, antenna_at) = spectra.key_codes["station"], spectra.key_codes["antenna"]
-    codes, owner_at = np.unique(station_at * antennas.size + antenna_at, return_inverse=True)
-    return [(str(stations[one // antennas.size]), int(antennas[one % antennas.size])) for one in codes], owner_at
-
-
-def _cut_each(
-    spectra: Spectra,
-    owners: list[Owner],
-    owner_at: NDArray[np.int64],
-    changed: dict[Owner, tuple[float, ...]],
-    ends: tuple[float, float],
-) -> Iterator[Piece]:
-    """The pieces of antennas that changed; those that changed at the same dates share theirs."""
-    for dates in sorted(set(changed.values())):
-        is_one = np.array([changed.get(owner) == dates for owner in owners])[owner_at]
-        yield from _pieces(spectra, is_one, [ends[0], *dates, ends[1]])
-
-
-def _pieces(spectra: Spectra, is_one: NDArray[np.bool_], edges: list[float]) -> Iterator[Piece]:
-    for start, end in pairwise(edges):
-        rows = is_one & (spectra.time_unix >= start) & (spectra.time_unix < end)
-        if np.any(rows):
-            yield Piece(start, end, rows)
+def _cut_at(dates: Sequence[float], owners: Container[Owner], ends: tuple[float, float]) -> Iterator[Piece]:
+    for start, end in pairwise([ends[0], *dates, ends[1]]):
+        yield Piece(start, end, owners, is_whole=False)

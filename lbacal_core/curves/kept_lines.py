@@ -65,8 +65,8 @@ class MemberLines:
         some = self.select(names)
         return float(np.sum((some.level * some.scatter) ** 2) / np.sum(some.level) ** 2)
 
-    def take(self, at: NDArray[np.bool_]) -> MemberLines:
-        """Take the members of a mask, shape (member,)."""
+    def take(self, at: NDArray[np.bool_] | NDArray[np.intp]) -> MemberLines:
+        """Take the members of a mask, shape (member,), or at some places."""
         return MemberLines(**{key: values[at] for key, values in vars(self).items()})
 
 

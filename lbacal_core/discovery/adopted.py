@@ -194,15 +194,12 @@ def at_reference(station: Station) -> Station:
     return replace(station, conditions=replace(station.conditions, reference_c=REFERENCE_C))
 
 
-def gather_adopted(spectra: Spectra, simulation: Simulation) -> list[Station]:
-    """Lay out the spectra of the stations that have adopted causes, if a path of theirs has enough events for a fit."""
-    found = []
-    for name in sorted({one.station for one in simulation.causes.causes}):
-        rows = np.flatnonzero(spectra.station == name)
-        paths = np.stack([spectra.antenna[rows], spectra.dipole[rows] == spectra.dipole[rows[:1]]])
-        if rows.size and np.unique(paths, axis=1, return_counts=True)[1].max() >= MIN_EVENTS:
-            found += gather_stations(spectra.select(rows), simulation)
-    return found
+def gather_adopted(spectra: Spectra, name: str, simulation: Simulation) -> list[Station]:
+    """Lay out the spectra of a station that has adopted causes, if a path of its has enough events for a fit."""
+    rows = np.flatnonzero(spectra.station == name)
+    paths = np.stack([spectra.antenna[rows], spectra.dipole[rows] == spectra.dipole[rows[:1]]])
+    is_enough = rows.size and np.unique(paths, axis=1, return_counts=True)[1].max() >= MIN_EVENTS
+    return gather_stations(spectra.select(rows), simulation) if is_enough else []
 
 
 def fit_adopted(
@@ -347,7 +344,8 @@ def measure_gains(
     }
     found: list[MeasuredGain] = []
     with threadpool_limits(1):
-        stations = gather_adopted(spectra, simulation)
+        names = sorted({one.station for one in simulation.causes.causes})
+        stations = [one for name in names for one in gather_adopted(spectra, name, simulation)]
         known = simulation.differences if stations else None
         for gathered in stations:
             station = leave_out_deaf(gathered)[0]

@@ -11,9 +11,9 @@ which is the covariance of the joint fit. D V D^T is common to all curves of the
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -48,7 +48,8 @@ from lbacal_core.instrument.chain import ChainTerms
 from lbacal_core.linear import root_of
 from lbacal_core.simulation.prior import OTHER_ANTENNA
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.spectra.spectra import Spectra
+from lbacal_core.spectra.spectra import Rows, Spectra
+from lbacal_core.spectra.stations import Recorded
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ class _OfStation:
     Attributes
     ----------
     station
-        With all its paths, those that a search leaves out too.
+        With all its paths, those that a search leaves out too, and without their power.
     terms
         Its chains with the causes.
     sizes, covariance
@@ -109,14 +110,15 @@ class FittedCauses:
     simulation
         With the form of the chain that they prefer, which `form` gives the odds of.
     unchanged
-        The power without what is known to have changed in single antennas, shape (row, freq); None where nothing did.
+        The power of spectra without what is known to have changed in single antennas, shape (row, freq); None where
+        nothing did.
     """
 
-    recorded: Spectra
+    recorded: Recorded
     simulation: Simulation
     form: ChainForm
     stations: Sequence[_OfStation]
-    unchanged: Floats | None = None
+    unchanged: Callable[[Spectra], Floats] | None = None
 
     @property
     def model(self) -> Model:
@@ -129,36 +131,41 @@ class FittedCauses:
         return [size for one in self.stations for size in one.sizes]
 
     @cached_property
-    def spectra(self) -> Spectra:
+    def spectra(self) -> Recorded:
         """The spectra with what the causes do divided out; without those of which a covariate is not known."""
         return self._divide_out(None)
 
-    def _divide_out(self, moved: tuple[int, int] | None) -> Spectra:
+    def _divide_out(self, moved: tuple[int, int] | None) -> Recorded:
         """The same with one size, by number of station and of size, moved by its standard deviation."""
         if not self.stations and self.unchanged is None:
             return self.recorded
-        power = (self.recorded.power if self.unchanged is None else self.unchanged).copy()
-        is_kept = np.ones(len(self.recorded), dtype=bool)
+        return self.recorded.change(partial(self._divide, moved=moved))
+
+    def _divide(self, recorded: Spectra, moved: tuple[int, int] | None) -> Spectra:
+        power = recorded.power.copy() if self.unchanged is None else self.unchanged(recorded)
+        is_kept, here = np.ones(len(recorded), dtype=bool), recorded.key_codes["station"][0]
         for number, one in enumerate(self.stations):
+            if one.station.name not in here:
+                continue
             by = np.zeros(len(one.sizes))
             if moved is not None and moved[0] == number:
                 by[moved[1]] = one.sizes[moved[1]].sigma
             power[one.rows] /= one.ratio(by)
             is_kept[one.rows] = one.is_known
-        divided = replace(self.recorded, power=power)
+        divided = replace(recorded, power=power)
         return divided if np.all(is_kept) else divided.select(is_kept)
 
-    def select(self, rows: NDArray[np.bool_]) -> FittedCauses:
+    def keep(self, where: Callable[[Spectra], Rows]) -> FittedCauses:
         """Some of the spectra, such as those of one path, with the sizes fitted to all."""
-        place = np.cumsum(rows) - 1
         stations = []
         for one in self.stations:
+            rows = where(self.recorded.read(one.station.name))
             kept = rows[one.rows]
             if np.any(kept):
-                at = place[one.rows[kept]].astype(np.int64)
+                at = (np.cumsum(rows) - 1)[one.rows[kept]].astype(np.int64)
                 stations.append(replace(one, rows=at, path=one.path[kept], event=one.event[kept]))
-        unchanged = None if self.unchanged is None else self.unchanged[rows]
-        return replace(self, recorded=self.recorded.select(rows), stations=stations, unchanged=unchanged)
+        recorded = self.recorded.change(lambda own: own.select(where(own)))
+        return replace(self, recorded=recorded, stations=stations)
 
     def fit(self, scope: str, beside: Sequence[Beside] = ()) -> FitReport:
         """Calibrate with the model; parameters as in `fit_calibration`, which it is where no cause acts.
@@ -269,7 +276,7 @@ def promise_of_structure(structure: Mapping[str, Any]) -> Promise:
     return Promise(0.5 * share**2 * found, share * found**0.5)
 
 
-def fit_causes(spectra: Spectra, simulation: Simulation) -> FittedCauses:
+def fit_causes(spectra: Recorded, simulation: Simulation) -> FittedCauses:
     """Choose the form of the chain, and fit the sizes of causes, each to all paths of its target in the spectra.
 
     Parameters
@@ -280,21 +287,24 @@ def fit_causes(spectra: Spectra, simulation: Simulation) -> FittedCauses:
     simulation
         Where its sky is its own, the differences between sky and antenna models are profiled out.
     """
-    found = []
+    found = list[_OfStation]()
     # The products are small: threads of the linear algebra would wait for each other.
     with threadpool_limits(1):
         steady = leave_out_changed(spectra, simulation.instrument) if len(spectra) else None
         form = PUBLISHED_FORM if steady is None else compare_forms(steady, simulation)
         simulation = simulation.with_form(form.name)
-        apart, parts = set_apart(spectra, simulation.instrument)
-        stations = gather_adopted(apart, replace(simulation, instrument=parts, given=simulation.sky_power))
-        known = simulation.differences if stations else None
-        for station in stations:
-            modes = None if known is None else model_modes(station, known)
-            fitted = fit_adopted(leave_out_deaf(station)[0], simulation.causes, modes)
-            if fitted.sizes:
-                of_fit = at_reference(station), fitted.model.baseline.terms, fitted.sizes, fitted.covariance
-                found.append(_OfStation(*of_fit, *_places(apart, station)))
+        for name in sorted({one.station for one in simulation.causes.causes}):
+            apart, parts = set_apart(spectra.read(name), simulation.instrument)
+            for station in gather_adopted(
+                apart, name, replace(simulation, instrument=parts, given=simulation.sky_power)
+            ):
+                known = simulation.differences
+                modes = None if known is None else model_modes(station, known)
+                fitted = fit_adopted(leave_out_deaf(station)[0], simulation.causes, modes)
+                if fitted.sizes:
+                    light = replace(at_reference(station), power=np.broadcast_to(1.0, station.power.shape))
+                    of_fit = light, fitted.model.baseline.terms, fitted.sizes, fitted.covariance
+                    found.append(_OfStation(*of_fit, *_places(apart, station)))
     return FittedCauses(spectra, simulation, form, found)
 
 

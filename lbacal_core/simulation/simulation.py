@@ -39,7 +39,8 @@ from lbacal_core.sky.differences import DifferenceModels, ModelDifferences, comp
 from lbacal_core.sky.power import compute_sky_power
 from lbacal_core.sky.sky_terms import SkyTerm
 from lbacal_core.sky.table import SHORTEST_SMEARED_H, SkyPower, read_sky_power
-from lbacal_core.spectra.spectra import Spectra
+from lbacal_core.spectra.spectra import BLOCK_S
+from lbacal_core.spectra.stations import Recorded
 
 SIDEREAL_HOUR_S = SIDEREAL_DAY_S / 24
 LARGEST_UNLIKE_H2 = 0.9
@@ -175,18 +176,20 @@ class Simulation:
         """The same with a P_sky that cannot be wrong."""
         return replace(self, given=self.sky_power, is_own_sky=False)
 
-    def smeared(self, spectra: Spectra) -> Simulation:
+    def smeared(self, spectra: Recorded) -> Simulation:
         """The same where the sky moves while spectra are recorded; itself where it does not.
 
         One duration stands for all, the root mean square: what a duration h takes of a harmonic goes with h^2.
         """
-        square = (spectra.seconds / SIDEREAL_HOUR_S) ** 2
-        if len(spectra) == 0 or square.max() < SHORTEST_SMEARED_H**2:
+        given, unit = (spectra.blocks, BLOCK_S) if spectra.duration_s is None else (spectra.duration_s, 1.0)
+        if len(spectra) == 0 or unit * given.max() < SHORTEST_SMEARED_H * SIDEREAL_HOUR_S:
             return self
+        seconds = unit * given
+        square = (seconds / SIDEREAL_HOUR_S) ** 2
         if np.mean(np.abs(square - square.mean())) > LARGEST_UNLIKE_H2:
-            short, long = np.percentile(spectra.seconds, [5, 95]) / 3600
+            short, long = np.percentile(seconds, [5, 95]) / 3600
             expected = "durations that are alike: fit the short and the long integrations by themselves"
-            raise BadInputError(f"{spectra.origin}: duration_s", expected, f"{short:.2g} to {long:.2g} h")
+            raise BadInputError(f"{spectra.head.origin}: duration_s", expected, f"{short:.2g} to {long:.2g} h")
         return replace(self, given=self.sky_power.smeared(float(np.sqrt(square.mean()))), is_own_sky=self.is_own_sky)
 
     def sidereal_time(self, station: str | None, time_unix: Floats) -> Floats:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lbacal_core.grids import Floats
 from lbacal_core.provenance import hash_arrays
 from lbacal_core.spectra.spectra import Spectra
+from lbacal_core.spectra.stations import Recorded
 
 
 @dataclass(frozen=True)
@@ -50,21 +51,18 @@ class SpectraBlock:
         )  # fmt: skip
 
 
-def split_into_blocks(spectra: Spectra) -> list[SpectraBlock]:
+def split_into_blocks(spectra: Recorded) -> list[SpectraBlock]:
     """Lay spectra out as one dense block per station and dipole, stations and dipoles in alphabetical order."""
-    return list(iterate_blocks(spectra))
+    return [block for of_part in spectra.each(iterate_blocks) for block in of_part]
 
 
-def iterate_blocks(spectra: Spectra, station: str | None = None, dipole: str | None = None) -> Iterator[SpectraBlock]:
-    """The blocks of `split_into_blocks` one by one: a year of an array need not be in memory twice.
-
-    With a station or a dipole those of it alone.
-    """
+def iterate_blocks(spectra: Spectra, station: str | None = None) -> Iterator[SpectraBlock]:
+    """The blocks of `split_into_blocks` one by one, of all stations or of one."""
     (stations, station_at), (dipoles, dipole_at) = spectra.key_codes["station"], spectra.key_codes["dipole"]
     for s, name in enumerate(stations.tolist()):
         for d, letter in enumerate(dipoles.tolist()):
             rows = np.flatnonzero((station_at == s) & (dipole_at == d))
-            if rows.size and station in (None, name) and dipole in (None, letter):
+            if rows.size and station in (None, name):
                 yield _block_of_rows(spectra, rows, name, letter)
 
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, TypeVar
 
 import h5py
 import numpy as np
@@ -44,6 +44,12 @@ _KINDS = {
 _ARM = "azimuth_deg_"
 """The attribute of a file that has the azimuth of an arm begins with this, and ends with the dipole."""
 _OPTIONAL = {"width_mhz": hdf5.NUMBERS, "duration_s": hdf5.NUMBERS, "flag": hdf5.STRINGS}
+
+
+Owner = tuple[str, int]
+"""Station and antenna."""
+Rows = NDArray[np.bool_]
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -219,11 +225,6 @@ class Spectra:
         words = ", ".join(f"{count} {flag}" for flag, count in self.left_out.items())
         return f"{sum(self.left_out.values())} spectra are flagged ({words})"
 
-    @property
-    def seconds(self) -> Floats:
-        """How long each spectrum was recorded, shape (row,), s: as given, else by its blocks."""
-        return self.duration_s if self.duration_s is not None else np.asarray(self.blocks * BLOCK_S)
-
     def channel_widths(self) -> Floats:
         """Widths of the channels, shape (freq,), MHz: as given, else 1 on a grid of whole MHz, else the spacing."""
         return self.width_mhz if self.width_mhz is not None else guess_widths(self.frequency_mhz)
@@ -233,6 +234,28 @@ class Spectra:
         self._require("time_unix", self.time_unix >= EARLIEST_UNIX, "an instant of 2009 or later (s UTC)")
         limit = f"an instant not after {datetime.fromtimestamp(now_unix, UTC):%Y-%m-%d} (s UTC)"
         self._require("time_unix", self.time_unix <= now_unix + DAY_S, limit)
+
+    @property
+    def head(self) -> Spectra:
+        """Spectra with these channels."""
+        return self
+
+    @cached_property
+    def span_unix(self) -> tuple[float, float]:
+        """Instants of the first and the last, s UTC."""
+        return float(self.time_unix.min(initial=np.inf)), float(self.time_unix.max(initial=-np.inf))
+
+    def each(self, function: Callable[[Spectra], Result]) -> Iterable[Result]:
+        """Call a function with all of them at once."""
+        return [function(self)]
+
+    def read(self, station: str) -> Spectra:  # noqa: ARG002 - all are here
+        """Read spectra with all of a station."""
+        return self
+
+    def change(self, function: Callable[[Spectra], Spectra]) -> Spectra:
+        """Make other spectra of them."""
+        return function(self)
 
     def digest(self, station: str | None = None, antenna: int | None = None, dipole: str | None = None) -> str:
         """Hash of every value that a fit sees, of all spectra or of a station's or path's; their order does not count.
@@ -258,6 +281,12 @@ class Spectra:
         """For each column of the key what occurs in it, rising, and which of these each row has, shape (row,)."""
         names = {name: np.unique(getattr(self, name)) for name in _KEY}
         return {name: (found, np.searchsorted(found, getattr(self, name))) for name, found in names.items()}
+
+    def is_of(self, owners: Container[Owner]) -> Rows:
+        """Which spectra are of some antennas, shape (row,)."""
+        (stations, station_at), (antennas, antenna_at) = self.key_codes["station"], self.key_codes["antenna"]
+        is_it = [[(station, antenna) in owners for antenna in antennas.tolist()] for station in stations.tolist()]
+        return np.asarray(is_it, dtype=bool).reshape(stations.size, antennas.size)[station_at, antenna_at]
 
     @cached_property
     def _keys(self) -> NDArray[np.int64]:

@@ -5,7 +5,7 @@ Nothing is written here: a refit keeps what these functions make, and the dry ru
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import astuple, dataclass, field, replace
 from typing import Any
 
@@ -35,6 +35,7 @@ from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import MODEL_VERSION, Remembered, hash_content
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.spectra import Spectra
+from lbacal_core.spectra.stations import Recorded, SpectraByStation
 from service.errors import ConflictError
 from service.storage.changes import Cut
 from service.storage.database import Stores
@@ -52,6 +53,8 @@ from service.usecases.windows import (
     share_misfits,
 )
 
+MOST_LOOKED_AT = 10_000
+"""Spectra of stations whose unit is known to be that of power."""
 Read = tuple[Window, tuple[int, int]]
 """A window, and what it held when it was read: `SpectraStore.content`."""
 
@@ -126,6 +129,7 @@ class Fits:
     clock: Callable[[], Instant]
     read: Remembered[Read, Spectra] = field(default_factory=lambda: Remembered(1))
     fitted: Remembered[tuple[Any, ...], FittedCauses] = field(default_factory=lambda: Remembered(1))
+    of_power: Remembered[str, bool] = field(default_factory=lambda: Remembered(MOST_LOOKED_AT))
     engine: Engine = HERE
 
     def elsewhere(self, function: Callable[..., Result], *of: Any) -> Result:
@@ -133,18 +137,24 @@ class Fits:
         made: Result = self.engine.call(_do_at, self, self.clock(), function, *of)
         return made
 
-    def load(self, stores: Stores, wanted: Wanted) -> Spectra:
-        """The spectra of a fit, or an error where there is none.
+    def load(self, stores: Stores, wanted: Wanted) -> Recorded:
+        """The spectra of a fit, or an error where there is none; those of the array are read within the transaction.
 
         Those of a station that were read last stay in memory: the next part is another scope of the same.
         """
         window, is_plain = wanted.window, wanted.model.is_plain
 
-        def read() -> Spectra:
-            return self.load_window(stores, window, with_covariates=not is_plain)
+        def read(of: Scope = window.scope) -> Spectra:
+            return self.load_window(stores, replace(window, scope=of), with_covariates=not is_plain)
 
-        is_station = window.scope == Scope(window.scope.station) != Scope()
-        return self.read.get((window, stores.spectra.content(window)), read) if is_station and is_plain else read()
+        def spread(function: Callable[[Spectra], Result], parts: Iterable[Spectra]) -> Iterator[Result]:
+            return (self.elsewhere(_apply, function, own) for own in parts)
+
+        if window.scope == Scope():
+            stations = list(stores.spectra.contents(window.since, window.until))
+            return SpectraByStation.of(stations, lambda name: read(Scope(name)), spread) if stations else read()
+        is_kept = window.scope.antenna is None and is_plain
+        return self.read.get((window, stores.spectra.content(window)), read) if is_kept else read()
 
     def load_window(self, stores: Stores, window: Window, *, with_covariates: bool) -> Spectra:
         """The spectra of a window, or an error where there is none."""
@@ -249,19 +259,20 @@ class Fits:
         is_few = not rest or (is_whole and len(rest) <= LARGEST_REST * (len(rest) + len(examined)))
         return Outcome(examined, rest) if np.all(seen) and is_few else None
 
-    def fit_causes(self, spectra: Spectra, model: Model) -> FittedCauses:
+    def fit_causes(self, spectra: Recorded, model: Model) -> FittedCauses:
         """Fit the sizes of the adopted causes to all spectra of their stations, where these are enough for any fit.
 
         The last fit of a station's causes stays in memory: the next part is another scope of the same spectra.
         """
-        stations = [] if model.is_plain else np.unique(spectra.station).tolist()
-        enough = model.of_stations([name for name in stations if _has_enough(spectra, name)])
+        stations = {station for station, *_ in spectra.quarter_hashes}
+        concerned = {one.station for one in model.causes}.intersection(stations)
+        enough = model.of_stations([name for name in concerned if _has_enough(spectra.read(name), name)])
 
         def fit() -> FittedCauses:
             simulation = self.simulation.with_causes(enough).smeared(spectra)
             return fit_causes(spectra, simulation)
 
-        if len(stations) != 1:
+        if model.is_plain or len(stations) != 1 or isinstance(spectra, SpectraByStation):
             return fit()
         return self.fitted.get((spectra.digest(), hash_covariates(spectra), enough.id), fit)
 
@@ -300,7 +311,7 @@ class Fits:
         cut = sorted(self._cut(whole, wanted), key=lambda one: -len(one[1]))
         if budget is None:
             for of_piece, *_ in cut:
-                self._require_power(of_piece, wanted)
+                self._require_power(of_piece.recorded, wanted)
         for of_piece, recorded, during in cut:
             if budget is None:
                 budget = self._budget(of_piece)
@@ -311,17 +322,17 @@ class Fits:
             neighbours = neighbours.and_also(KeptPiece(during.since, during.until, report.lines))
             yield _versions(recorded, report, during, made, named, beside, instrument), report, during
 
-    def _require_power(self, fitted: FittedCauses, wanted: Wanted) -> None:
+    def _require_power(self, recorded: Recorded, wanted: Wanted) -> None:
         """Refuse spectra whose unit is not that of power, looking at one station after the other."""
-        recorded, instrument = fitted.recorded, self.simulation.instrument
-        for station in recorded.key_codes["station"][0].tolist():
-            own = recorded.select(recorded.station == station)
+        instrument = self.simulation.instrument
+        for station in sorted({station for station, *_ in recorded.quarter_hashes}):
 
-            def look(own: Spectra = own) -> bool:
-                audit_quickly(own, instrument).require_power(f"spectra of {name_path(*wanted.of.parts)}")
+            def look(station: str = station) -> bool:
+                found = audit_quickly(recorded.read(station), instrument)
+                found.require_power(f"spectra of {name_path(*wanted.of.parts)}")
                 return True
 
-            self.simulation.made.get(("unit", own.digest()), look)
+            self.of_power.get(recorded.digest(station), look)
 
     def _budget(self, fitted: FittedCauses) -> Budget:
         """The budget of some spectra: one for all scopes that are fitted to them."""
@@ -330,16 +341,20 @@ class Fits:
         )
         return budget
 
-    def _cut(self, whole: FittedCauses, wanted: Wanted) -> Iterator[tuple[FittedCauses, Spectra, Wanted]]:
+    def _cut(self, whole: FittedCauses, wanted: Wanted) -> Iterator[tuple[FittedCauses, Recorded, Wanted]]:
         """The pieces of the window of a fit: what is fitted, the spectra by which it is named, and when it lies."""
-        spectra = whole.recorded
-        is_part = wanted.window.scope != wanted.of
-        fitted = whole.select(_rows_of(spectra, wanted.of)) if is_part else whole
+        spectra, of, is_part = whole.recorded, wanted.of, wanted.window.scope != wanted.of
+        fitted = whole.keep(lambda own: (own.antenna == of.antenna) & (own.dipole == of.dipole)) if is_part else whole
         ends = wanted.since / SECOND_US, wanted.until / SECOND_US
-        for rows in cut_window(fitted.recorded, self.simulation.instrument, wanted.scope, *ends, _list_cuts(wanted)):
-            of_piece = fitted if np.all(rows.rows) else fitted.select(rows.rows)
-            during = replace(wanted, since=round(rows.since_unix * SECOND_US), until=round(rows.until_unix * SECOND_US))
-            yield of_piece, spectra if np.all(rows.rows) else of_piece.recorded, during
+        for one in cut_window(fitted.recorded, self.simulation.instrument, wanted.scope, *ends, _list_cuts(wanted)):
+            of_piece = fitted if one.is_whole else fitted.keep(one.rows)
+            during = replace(wanted, since=round(one.since_unix * SECOND_US), until=round(one.until_unix * SECOND_US))
+            if len(of_piece.recorded):
+                yield of_piece, spectra if of_piece is fitted else of_piece.recorded, during
+
+
+def _apply(_: Fits, function: Callable[[Spectra], Result], own: Spectra) -> Result:
+    return function(own)
 
 
 def _do_at(fits: Fits, now: Instant, function: Callable[..., Result], *of: Any) -> Result:
@@ -353,18 +368,22 @@ def _take_out(whole: FittedCauses, wanted: Wanted, neighbours: Neighbours) -> Fi
     """
     if not wanted.taken_out:
         return whole
-    spectra, power = whole.recorded, whole.recorded.power.copy()
-    modes = gain_modes(spectra.frequency_mhz)[1:]
-    for one in wanted.taken_out:
-        for dipole in one.dipoles or np.unique(spectra.dipole).tolist():
-            of_dipole = (spectra.station == one.station) & (spectra.dipole == dipole)
-            every = np.unique(spectra.antenna[of_dipole]).tolist()
-            for antenna in every if one.antenna is None else [one.antenna]:
-                rows = of_dipole & (spectra.antenna == antenna)
-                behind, _ = neighbours.behind.get((one.station, antenna, dipole), (np.zeros(power.shape[1]), ""))
-                signal = np.maximum(power[rows] - behind, 0.0)
-                power[rows] += signal * np.expm1(-one.log_power(spectra.time_unix[rows], modes))
-    return replace(whole, unchanged=power)
+    modes = gain_modes(whole.simulation.instrument.frequency_mhz)[1:]
+
+    def take_out(spectra: Spectra) -> Floats:
+        power = spectra.power.copy()
+        for one in wanted.taken_out:
+            for dipole in one.dipoles or np.unique(spectra.dipole).tolist():
+                of_dipole = (spectra.station == one.station) & (spectra.dipole == dipole)
+                every = np.unique(spectra.antenna[of_dipole]).tolist()
+                for antenna in every if one.antenna is None else [one.antenna]:
+                    rows = of_dipole & (spectra.antenna == antenna)
+                    behind, _ = neighbours.behind.get((one.station, antenna, dipole), (np.zeros(power.shape[1]), ""))
+                    signal = np.maximum(power[rows] - behind, 0.0)
+                    power[rows] += signal * np.expm1(-one.log_power(spectra.time_unix[rows], modes))
+        return power
+
+    return replace(whole, unchanged=take_out)
 
 
 def _name_sizes(whole: FittedCauses, wanted: Wanted, neighbours: Neighbours) -> dict[str, str]:
@@ -389,7 +408,7 @@ def _name_lines(lines: KeptLines, named: Mapping[str, str]) -> KeptLines:
 
 
 def _versions(
-    spectra: Spectra,
+    spectra: Recorded,
     report: FitReport,
     wanted: Wanted,
     made: Instant,
@@ -462,15 +481,6 @@ def _has_enough(spectra: Spectra, station: str) -> bool:
     of_station = spectra.station == station
     paths = np.stack([spectra.antenna[of_station], spectra.dipole[of_station] == "Y"])
     return bool(np.unique(paths, axis=1, return_counts=True)[1].max() >= MIN_EVENTS)
-
-
-def _rows_of(spectra: Spectra, scope: Scope) -> NDArray[np.bool_]:
-    rows: NDArray[np.bool_] = np.ones(len(spectra), dtype=bool)
-    if scope.station is not None:
-        rows &= spectra.station == scope.station
-    if scope.antenna is not None:
-        rows &= (spectra.antenna == scope.antenna) & (spectra.dipole == scope.dipole)
-    return rows
 
 
 def read_part(stores: Stores, request: Mapping[str, Any], model: Model, by: str, reason: str) -> Wanted:

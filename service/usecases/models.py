@@ -17,7 +17,7 @@ from lbacal_core.curves.covariance import Budget
 from lbacal_core.curves.validity import Instant, Promotion, Scope, timeline
 from lbacal_core.errors import BadInputError
 from lbacal_core.provenance import Remembered, hash_content
-from lbacal_core.spectra.spectra import Spectra
+from lbacal_core.spectra.stations import Recorded
 from service.errors import ConflictError
 from service.storage.alarms import CAUSE_STOPPED_PAYING, News
 from service.storage.database import Database, Stores
@@ -140,7 +140,7 @@ class Models:
 
     def _fit(
         self,
-        spectra: Spectra,
+        spectra: Recorded,
         wanted: Sequence[Wanted],
         neighbours: Sequence[Neighbours],
         budget: Budget | None = None,

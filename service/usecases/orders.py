@@ -12,7 +12,7 @@ from lbacal.instants import parse_instant
 from lbacal_core.curves.validity import Instant
 from lbacal_core.errors import BadInputError
 from lbacal_core.provenance import MODEL_VERSION, canonical_json, hash_arrays
-from lbacal_core.spectra.spectra import Spectra
+from lbacal_core.spectra.stations import Recorded
 from service.errors import ConflictError, TooManyError
 from service.storage.database import Database, Stores
 from service.storage.jobs import Job, Order
@@ -80,7 +80,7 @@ def name_inputs(simulation: Simulation) -> Inputs:
     return Inputs(simulation.instrument.digest(), simulation.sky_power.digest())
 
 
-def hash_covariates(spectra: Spectra) -> str:
+def hash_covariates(spectra: Recorded) -> str:
     """The hash of the covariates of spectra, which their own digest leaves out."""
     names = sorted(spectra.environment)
     return hash_arrays(names, *(spectra.environment[name] for name in names))

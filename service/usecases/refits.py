@@ -16,6 +16,7 @@ from lbacal_core.discovery.calibrate import FittedCauses
 from lbacal_core.errors import BadInputError
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.spectra import Spectra
+from lbacal_core.spectra.stations import Recorded
 from service.config import Settings
 from service.errors import ConflictError
 from service.storage.database import Database, Stores
@@ -98,7 +99,8 @@ class Refits:
             is_alone = part.request.get("fit") == "year"
             neighbours = ALONE if is_alone else self.fits.find_neighbours(stores, wanted)
             known = find_known_until(stores, wanted)
-        made, gains = self.fits.elsewhere(_fit, spectra, wanted, neighbours, known)
+            of_array = _fit(self.fits, spectra, wanted, neighbours, known) if wanted.scope == "array" else None
+        made, gains = of_array or self.fits.elsewhere(_fit, spectra, wanted, neighbours, known)
         with self.database.write() as stores:
             said = _read_said(stores, block) if part.is_due else {}
             kept = self._keep(stores, made.versions, part, said, neighbours)
@@ -255,7 +257,7 @@ Said = Mapping[TellKey, Told]
 
 def _fit(
     fits: Fits,
-    spectra: Spectra,
+    spectra: Recorded,
     wanted: Wanted,
     neighbours: Neighbours,
     known: Mapping[str, Instant],
@@ -384,7 +386,7 @@ def measure_payoff(
     """The gain of every adopted cause on the events of a window that are new to it, its size as it was adopted."""
     found = list[Gain]()
     spectra = leave_out_changed(whole.recorded, simulation.instrument) if known_until else None
-    if spectra is None:
+    if not isinstance(spectra, Spectra):
         return found
     names = [Model((cause,)).id for cause in whole.model.causes]
     for last in sorted({known_until[name] for name in names if name in known_until}):

@@ -228,7 +228,7 @@ def test_one_path_takes_the_size_of_its_station(fitted, late, simulation):
     """A size belongs to its target: fitted to all its paths, and the same for each of them."""
     whole = {curve.name: curve for curve in fitted.fit("antenna").curves}
     rows = (late.station == "CS002") & (late.antenna == 1) & (late.dipole == "Y")
-    part = fitted.select(rows)
+    part = fitted.keep(lambda _: rows)
     assert [size.value for size in part.sizes] == [size.value for size in fitted.sizes]
     (curve,) = part.fit("antenna").curves
     np.testing.assert_allclose(curve.c, whole[curve.name].c, rtol=1e-12)

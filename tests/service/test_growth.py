@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Callable, Iterator
+import tracemalloc
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +20,7 @@ from sqlalchemy.pool import Pool
 
 from lbacal_core.calibration import chain_form
 from lbacal_core.calibration.budget import compute_budget
+from lbacal_core.causes.model import Model
 from lbacal_core.curves.covariance import Budget
 from lbacal_core.curves.validity import Promotion, Scope
 from lbacal_core.instrument.instrument import load_instrument
@@ -32,6 +34,7 @@ from service.app import make_app
 from service.factory import Factory
 from service.scheduler import look_for_due_work
 from service.usecases import fits
+from service.usecases.fits import read_fit
 from tests.service.conftest import (
     add_spectra,
     flat_spectra,
@@ -49,7 +52,10 @@ MOST_GROWTH = 1.3
 """Of the work for each station, or of a question about one."""
 WHOLE = 100
 """Rows that PostgreSQL reads rather than the index of a table of one page, whatever is asked of it."""
+EVENTS_OF_ARRAY, OF_A_PATH = 400, 5_000
+"""Of a year whose memory is weighed, and bytes that are kept of a path without its spectra: lines and hashes."""
 STEPS_AT_ONCE = 10
+MEMORY = "memory of the array's year"
 FREQUENCY_MHZ = [30.0, 40.0, 50.0, 60.0, 70.0, 80.0]
 CHANNELS = len(FREQUENCY_MHZ)
 DATE, PATH = "2014-06-01", {"station": "CS001", "antenna": 0, "dipole": "X"}
@@ -117,6 +123,19 @@ def under_a_sky(spectra: Spectra) -> Spectra:
     return replace(spectra, frequency_mhz=np.array(FREQUENCY_MHZ), power=power)
 
 
+def weigh_array(factory: Factory) -> int:
+    """The most memory that a fit of the array's year takes, bytes, beside a hundred fits that are remembered."""
+    new = replace(factory.fits, simulation=replace(factory.simulation, most_remembered=FEW))
+    tracemalloc.start()
+    with factory.database.read() as stores:
+        wanted = read_fit(stores, "array", Scope(), (instant("2015-01-01"), instant("2016-01-01")))
+        made = new.make(new.fit_causes(new.load(stores, wanted), Model()), wanted)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert [curve.dipole for one in made.versions for curve in one.curves if curve.c is not None] == ["X", "Y"]
+    return most
+
+
 def work_of(
     url: str,
     folder: Path,
@@ -137,11 +156,9 @@ def work_of(
         )  # another database has the same spectra
         client = TestClient(make_app(factory))
 
-        def ingest() -> None:
+        def ingest(times: Sequence[float] = 1.4e9 + 1e5 * np.arange(EVENTS)) -> None:
             for name in names:
-                rows = [
-                    (f"e{k}", 1.4e9 + 1e5 * k, name, a, d) for k in range(EVENTS) for a in range(ANTENNAS) for d in "XY"
-                ]
+                rows = [(f"e{t:.0f}", t, name, a, d) for t in times for a in range(ANTENNAS) for d in "XY"]
                 add_spectra(factory, under_a_sky(flat_spectra(*rows)))
 
         def fill() -> None:
@@ -175,6 +192,8 @@ def work_of(
         found["effective, one path"] = count(ask("/v1/calibrations/effective", at=DATE, **PATH), 1)
         found["life"] = count(ask("/v1/paths/CS001/0/X/life"), 1)
         found["events"] = count(ask("/v1/events"), stations)
+        ingest(np.linspace(1.42e9, 1.45e9, EVENTS_OF_ARRAY))
+        found[MEMORY] = weigh_array(factory)
         return found
 
 
@@ -190,5 +209,7 @@ def test_fifty_stations_cost_ten_times_what_five_do(
     with open_databases(kind, "few", "many") as (few, many), counting_steps() as counted_steps:
         counted = counted_steps if kind == "sqlite" else count_rows
         small, large = (work_of(url, tmp_path, n, counted, simulations) for url, n in ((few, FEW), (many, MANY)))
+    weights = [found.pop(MEMORY) for found in (small, large)]
+    assert weights[1] < MOST_GROWTH * weights[0] + OF_A_PATH * MANY * ANTENNAS * 2, "one station's spectra at a time"
     spare = 0 if kind == "sqlite" else WHOLE
     assert {name: (small[name], large[name]) for name in small if large[name] > MOST_GROWTH * small[name] + spare} == {}
