@@ -28,7 +28,7 @@ from sqlalchemy import (
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
-from lbacal_core.spectra.screening import measure_level
+from lbacal_core.spectra.screening import LASTING_EVENTS, SHARE_OF_STATE, measure_level
 from lbacal_core.spectra.spectra import MAX_COVARIATES, Spectra
 from service.errors import ConflictError, NotFoundError
 from service.schema.tables import IS_FAR, event, event_flag, event_station, path, receipt, spectrum
@@ -591,15 +591,17 @@ class SpectraStore(Store):
         self._connection.execute(event_flag.insert().values(entry))
 
     def waiting(self) -> Iterator[tuple[int, list[Instant], NDArray[np.bool_]]]:
-        """The paths with spectra that wait: number, the times of all its spectra, and which wait, shape (event,)."""
-        some = self._connection.execute(select(spectrum.c.path).where(IS_FAR).distinct()).scalars().all()
-        if not some:
-            return  # no index is by path: asked for none, a database reads all spectra
-        columns = select(spectrum.c.path, spectrum.c.time_us, spectrum.c.far).where(spectrum.c.path.in_(some))
-        rows = self._connection.execute(columns.order_by(spectrum.c.path, spectrum.c.time_us)).all()
-        for number, of_path in groupby(rows, key=lambda row: row.path):
-            _, times, far = zip(*of_path, strict=True)
-            yield number, list(times), np.array([one is not None for one in far])
+        """The paths of which enough spectra wait to last: number, times of spectra, and which wait, shape (event,).
+
+        As many of the newest and of the oldest as can be a state with so many that wait (`find_lasting`).
+        """
+        counted = select(spectrum.c.path, func.count()).where(IS_FAR).group_by(spectrum.c.path)
+        for number, count in self._connection.execute(counted.having(func.count() >= LASTING_EVENTS)).all():
+            of_path = select(spectrum.c.time_us, spectrum.c.event, spectrum.c.far).where(spectrum.c.path == number)
+            some = of_path.join(event, event.c.id == spectrum.c.event).limit(int(count / SHARE_OF_STATE))
+            ends = (self._connection.execute(some.order_by(by)) for by in (event.c.time_us, event.c.time_us.desc()))
+            is_far = {(time_us, name): far is not None for rows in ends for time_us, name, far in rows}
+            yield number, [time_us for time_us, _ in sorted(is_far)], np.array([is_far[one] for one in sorted(is_far)])
 
     def end_waiting(self, number: int, times: Sequence[Instant]) -> None:
         """Spectra of a path take part in fits from now on."""
@@ -610,7 +612,8 @@ class SpectraStore(Store):
         ended = update(spectrum).where(IS_FAR, *which).values(far=None).returning(spectrum.c.path, spectrum.c.event)
         rows = self._connection.execute(ended).all()
         if rows:
-            station_of = {row.id: row.station for row in self._paths(Scope())}
+            of_paths = select(path.c.id, path.c.station).where(path.c.id.in_({row.path for row in rows}))
+            station_of = {row.id: row.station for row in self._connection.execute(of_paths)}
             _count(
                 self._connection,
                 {},

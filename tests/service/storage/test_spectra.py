@@ -12,11 +12,13 @@ import pytest
 import sqlalchemy
 
 from lbacal_core.curves.validity import Scope
+from lbacal_core.spectra.screening import SHARE_OF_STATE, find_lasting
 from lbacal_core.spectra.spectra import Spectra
 from service.errors import ConflictError
 from service.factory import Factory
 from service.storage.migration import upgrade
 from service.storage.spectra import Window
+from service.usecases.intake import judge_far
 from tests.service.conftest import add_spectra, flat_spectra
 
 CHANNELS = 51
@@ -226,6 +228,29 @@ def test_what_an_older_schema_holds_is_counted_by_the_upgrade(factory: Factory) 
     upgrade(factory.database)
     with factory.database.engine.connect() as connection:
         assert connection.exec_driver_sql(kept).all() == before
+
+
+@pytest.mark.parametrize(
+    "came", [".x" * 40, "x" * 12 + "." * 60, "." * 60 + "x" * 10, "xxxx." * 4 + "." * 50 + "xxxx." * 4]
+)
+def test_what_waits_is_judged_by_the_ends_of_a_path_as_by_all_of_it(factory: Factory, came: str) -> None:
+    """A look read all spectra as soon as one of them waited."""
+    is_far = np.array([one == "x" for one in came])
+    rows = [(f"e{k}", START + 3600.0 * k, "CS001", antenna, "X") for k in range(len(came)) for antenna in range(2)]
+    far = np.where(np.repeat(is_far, 2) & (np.arange(len(rows)) % 2 == 0), 30.0, np.nan)
+    with factory.database.write() as stores:
+        stores.spectra.add(flat_spectra(*rows), far)
+        judged = judge_far(stores)
+    assert judged == find_lasting(is_far).sum()
+    rng = np.random.default_rng(int(is_far.sum()))
+    for _ in range(200):
+        size = int(rng.integers(10, 200))
+        found = rng.random(size) < rng.random() * np.linspace(1.0, 0.0, size) ** rng.integers(0, 4)
+        most = int(found.sum() / SHARE_OF_STATE)
+        ends = sorted({*range(min(most, size)), *range(max(size - most, 0), size)})
+        whole = find_lasting(found)
+        assert np.array_equal(find_lasting(found[ends]), whole[ends])
+        assert whole.sum() == whole[ends].sum()
 
 
 def test_where_no_spectrum_waits_a_look_does_not_read_all(factory: Factory) -> None:
