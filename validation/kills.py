@@ -415,7 +415,7 @@ PARTS = tuple(
         partial(kill_and_compare, kind, KILLS, is_whole=bool(suffix)),
         judge,
         count,
-        headlines=("broken",) if kind == "postgresql" else (),
+        headlines=("broken",) if f"{kind}{suffix}" == "postgresql" else (),
         is_parallel=False,
     )
     for suffix, count in (("", 13), ("-whole", 3))

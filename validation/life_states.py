@@ -9,7 +9,7 @@ sequence a fresh service is, too, which got the same spectra, changes and last d
 What the oracle allows, and why:
 
 - Two fits may differ by 0.25 sigma: due work that moves C by less is no news (docs/decisions/retention.md). Nor is it
-  for the windows that are fitted together with it: they may lack events that moved C of their own window by less.
+  for the windows that are fitted together with it: each may lack an event that moved its own C by less.
 - What somebody promoted, withdrew or rolled back may give way to the night after new spectra, or after a decision: the
   newest promotion decides (docs/decisions/in-effect.md). Where neither came it must stay, and once it gave way C is
   held against the formulas again. Ids are compared where nobody ever promoted anything.
@@ -255,9 +255,7 @@ def compare(factory: Factory, months: Sequence[Month], told: Told) -> None:
             found = float(np.log(curve.c[0] * SHAPE[0] ** 0.5))
             shift = (found - one.ln_c) / one.sigma
             # the version in effect may be of fewer events, whose error is larger
-            require(
-                abs(shift) < SMALLEST_SHIFT * 1.05 * (1.0 + one.lag), f"{where}: {dipole} is off by {shift:+.2f} sigma"
-            )
+            require(abs(shift) < 1.05 * (SMALLEST_SHIFT + one.lag), f"{where}: {dipole} is off by {shift:+.2f} sigma")
         if place in told.touched:
             continue
         again = before.setdefault(place, name)

@@ -41,7 +41,7 @@ from service.storage.changes import Cut, KeptChange
 from service.storage.sums import Sums
 from service.usecases.drift import year_of
 from service.usecases.drift_measurement import read_events
-from service.usecases.fits import Fits
+from service.usecases.fits import SMALLEST_SHIFT, Fits
 from service.usecases.watch import Watch
 
 STATION = "CS002"
@@ -306,7 +306,7 @@ def standing_in() -> Iterator[None]:
 class Piece:
     """A time [since, until) in which one curve of a scope answers, and ln C with its error; None without one.
 
-    By `lag` errors it may change if each window that it sees changes by one of its own.
+    By `lag` errors it may be off where windows that it sees lack events that are no news of their own.
     """
 
     since: Instant
@@ -376,14 +376,29 @@ def _solve_all(windows: Sequence[_Window], dates: Sequence[Instant]) -> list[Pie
         same = [other for other in others if has_c[other.since] and not one.is_apart(other, dates)]
         joined = [one, *(same if one.events >= FEWEST else enough)]
         value = ln_c(one.mean, [(w.mean, w.events) for w in joined]) if has_c[one.since] else None
-        pieces.append(Piece(one.since, one.until, value, SIGMA / one.events**0.5, _lag(one.events, joined)))
+        pieces.append(Piece(one.since, one.until, value, _sigma(one), _lag(one, joined)))
     return pieces
 
 
-def _lag(events: int, joined: Sequence[_Window]) -> float:
-    """By how many of its errors C of a window changes where C of all windows that it sees changes by one of theirs."""
-    shares = [(one.events, one.events / sum(w.events for w in joined)) for one in joined[1:]]
-    return sum(((events / n) ** 0.5 * OF_ALL * share / (1.0 - OF_ALL + OF_ALL * share) for n, share in shares), 0.0)
+def _sigma(one: _Window) -> float:
+    return float(SIGMA / one.events**0.5)
+
+
+def _lag(one: _Window, joined: Sequence[_Window]) -> float:
+    """By how many of its errors C of a window may be off where the others lack what is no news of their own C.
+
+    An event of ln P = m + u makes x of its window (n events) a (u + m - x) larger and the mean m of all (N) b u, with
+    a = 1/n, b = 1/N. C of the window moves by less than its share s of an error: |((1 - q) a + q b) u + (1 - q) a
+    (m - x)| < 2 s sigma, q of `ln_c`. Several events move m by as much where x is near m, and little more else.
+    """
+    total = sum(w.events for w in joined)
+    m = sum(w.mean * w.events for w in joined) / total
+    moved = 0.0
+    for other in joined[1:]:
+        own, of_all = (1.0 - OF_ALL) / other.events, OF_ALL / total
+        u = (2.0 * SMALLEST_SHIFT * _sigma(other) + own * abs(m - other.mean)) / (own + of_all)
+        moved += 0.5 * of_all * u
+    return float(moved / _sigma(one))
 
 
 def _means(months: Sequence[Month], dipole: str, cuts: Sequence[Cut]) -> Iterator[_Window]:

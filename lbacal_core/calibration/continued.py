@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 
 from lbacal_core.calibration.channels import solve_without_interference
 from lbacal_core.calibration.lines import Lines, continue_lines
-from lbacal_core.calibration.paths import MeanOfEvents, Paths
+from lbacal_core.calibration.paths import LEAST_COVERAGE, MeanOfEvents, Paths
 from lbacal_core.calibration.singles import MIN_EVENTS, relative_variance_of
 from lbacal_core.calibration.years import Beside, lines_of, pick_beside, solve_together
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.curves.kept_lines import KeptLines, MemberLines, Owner
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.chain import calibration_factor
+from lbacal_core.provenance import hash_arrays
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.blocks import SpectraBlock, split_into_blocks
 from lbacal_core.spectra.screening import LARGEST_SHARE_OF_LATER, may_be_left_out
@@ -55,6 +56,8 @@ def keep_lines(
 ) -> KeptLines:
     """Take from a fit what it can be continued with, and what other windows can be fitted with."""
     has_c = np.array([curve.c is not None for curve in curves])
+    members = paths.member_lines
+    away = None if members is None or not np.any(members.is_away) else members.take(members.is_away)
     return KeptLines(
         owners=tuple(paths.owners),
         events=np.isfinite(paths.relative_variance).sum(axis=1),
@@ -68,12 +71,20 @@ def keep_lines(
         behind=lines.shared.behind,
         scatter=lines.levels.of_band,
         loss=loss,
-        spectra=np.array(spectra),
+        spectra=np.array([_name(*one, away) for one in zip(spectra, curves, lines.levels.radiometer, strict=True)]),
         typical_blocks=paths.typical_blocks,
         variance_unit=paths.variance_unit,
         members=paths.member_lines,
         form=form,
     )
+
+
+def _name(spectra: str, curve: CalibrationCurve, radiometer: Floats, away: MemberLines | None) -> str:
+    """The hash of the spectra of a path, and of what it has of other windows: noise levels, members of a mean."""
+    is_small = curve.c is not None and (curve.events < MIN_EVENTS or curve.lst_coverage < LEAST_COVERAGE)
+    borrowed = [radiometer] if is_small else []
+    borrowed += [] if away is None else [away.slope, away.intercept]
+    return hash_arrays(spectra, *borrowed) if borrowed else spectra
 
 
 def continue_fit(

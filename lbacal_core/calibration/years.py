@@ -26,6 +26,7 @@ from lbacal_core.calibration.channels import Booleans, solve_without_interferenc
 from lbacal_core.calibration.lines import Lines, NoiseLevels, SharedNoise, continue_lines
 from lbacal_core.calibration.paths import Paths
 from lbacal_core.calibration.separable import SeparableSolution
+from lbacal_core.calibration.singles import MIN_EVENTS
 from lbacal_core.curves.curves import Repeated
 from lbacal_core.curves.kept_lines import KeptLines, Owner
 from lbacal_core.grids import Floats
@@ -275,7 +276,7 @@ class Lent:
 def lend(
     beside: Sequence[Beside], is_small: NDArray[np.bool_], paths: Paths, sky: Floats, loss: Floats, terms: Intercepts
 ) -> Lent | None:
-    """Take noise levels and chain from the nearest window that has them, for paths with too few events for their own.
+    """Take noise levels and chain from the nearest window that has its own, for paths with too few events for theirs.
 
     Parameters
     ----------
@@ -283,7 +284,10 @@ def lend(
         P_sky, shape (event, freq).
     """
     for one in beside:
-        at = np.flatnonzero(is_small & _line_up(one, paths.owners, loss, is_small).has_lines)
+        # what a window has borrowed it lends to nobody: C would depend on which of two small windows was fitted first
+        own = {one.lines.owners[k] for k in np.flatnonzero(one.lines.events >= MIN_EVENTS).tolist()}
+        has_own = np.array([owner in own for owner in paths.owners])
+        at = np.flatnonzero(is_small & has_own & _line_up(one, paths.owners, loss, is_small).has_lines)
         if at.size:
             of = np.array([list(one.lines.owners).index(paths.owners[k]) for k in at])
             lines = lines_of(one.lines, of)

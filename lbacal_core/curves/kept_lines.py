@@ -48,13 +48,16 @@ class MemberLines:
 
     def select(self, names: Container[tuple[str, int]]) -> MemberLines:
         """Select the members among some stations and antennas."""
-        at = [name in names for name in self.names]
-        return MemberLines(**{key: values[at] for key, values in vars(self).items()})
+        return self.take(np.array([name in names for name in self.names], dtype=bool))
 
     @property
     def is_away(self) -> NDArray[np.bool_]:
         """Whether a member takes part in no event, shape (member,)."""
         return np.asarray(self.level == 0.0)
+
+    def take(self, at: NDArray[np.bool_]) -> MemberLines:
+        """Take the members of a mask, shape (member,)."""
+        return MemberLines(**{key: values[at] for key, values in vars(self).items()})
 
 
 def join_members(parts: Sequence[MemberLines]) -> MemberLines:
@@ -114,7 +117,7 @@ class KeptLines:
     loss
         L_coax of each path, of a mean the mean over its members, shape (path, freq).
     spectra
-        Hash of the spectra of each path.
+        Hash of the spectra of each path, and of what it has of other windows.
     typical_blocks, variance_unit
         The number of blocks, and the relative variance, of the spectrum that the radiometer noise is that of.
     members

@@ -124,12 +124,14 @@ class Told:
     """The curves that a scope is served after a fit: the version, whether it is in effect, and its curves.
 
     `curves` holds C and its statistical error by dipole, shape (freq,) each; none where the version has no C.
+    `changes` are the known changes of the hardware, in any year; None in blocks that do not say.
     """
 
     scope: Scope
     calibration: str
     is_in_effect: bool
     curves: Mapping[str, tuple[Floats, Floats]]
+    changes: Sequence[Instant] | None = None
 
 
 @dataclass(frozen=True)
@@ -146,7 +148,9 @@ def write_pieces(pieces: Sequence[KeptPiece]) -> dict[str, Any]:
     """Write the pieces of a fit as arrays by name."""
     head, arrays = [], dict[str, Any]()
     for k, piece in enumerate(pieces):
-        told = [[one.scope.key, one.calibration, one.is_in_effect, sorted(one.curves)] for one in piece.told]
+        told = [
+            [one.scope.key, one.calibration, one.is_in_effect, sorted(one.curves), one.changes] for one in piece.told
+        ]
         head.append([piece.since, piece.until, told])
         arrays[f"{k}.told"] = np.array([one.curves[dipole] for one in piece.told for dipole in sorted(one.curves)])
         arrays |= {f"{k}.{name}": values for name, values in write_lines(piece.lines).items()}
@@ -170,8 +174,8 @@ def read_pieces(arrays: Mapping[str, Any]) -> list[KeptPiece]:
     for k, (since, until, listed) in enumerate(json.loads(str(arrays["pieces"]))):
         curves = iter(arrays[f"{k}.told"])
         told = [
-            Told(parse_scope(key), calibration, is_in_effect, {dipole: tuple(next(curves)) for dipole in dipoles})
-            for key, calibration, is_in_effect, dipoles in listed
+            Told(parse_scope(key), calibration, is_in_effect, {of: tuple(next(curves)) for of in dipoles}, *changes)
+            for key, calibration, is_in_effect, dipoles, *changes in listed
         ]
         own = {name.removeprefix(f"{k}."): values for name, values in arrays.items() if name.startswith(f"{k}.")}
         pieces.append(KeptPiece(since, until, read_lines(own), told))

@@ -237,7 +237,9 @@ class Fits:
                 shift = _find_shift(told, continued)
                 if shift is None and not told.curves:
                     return None
-                if shift is None or shift >= SMALLEST_SHIFT:
+                # the mean of all stations would be read anew for a change of one antenna
+                is_other = told.scope != Scope() and told.changes not in (None, neighbours.changes_of(told.scope))
+                if shift is None or shift >= SMALLEST_SHIFT or is_other:
                     rest.append(told.scope)
                     continue
                 inputs = hash_content([told.calibration, *names, name_windows(told.scope, beside)])
@@ -305,6 +307,7 @@ class Fits:
                 neighbours = neighbours if budget.polarisations else ALONE
             beside = neighbours.beside(during.since, during.until)
             report = add_budget(of_piece.fit(wanted.scope, beside=[one for _, one in beside]), budget)
+            report = replace(report, lines=[_name_lines(one, named) for one in report.lines])
             neighbours = neighbours.and_also(KeptPiece(during.since, during.until, report.lines))
             yield _versions(recorded, report, during, made, named, beside, instrument), report, during
 
@@ -374,6 +377,13 @@ def _name_sizes(whole: FittedCauses, wanted: Wanted, neighbours: Neighbours) -> 
         return named
     of_sizes = {"model_spectra": whole.recorded.digest()} if wanted.scope == "antenna" else {}
     return {**named, "environment": hash_covariates(whole.recorded), **of_sizes}
+
+
+def _name_lines(lines: KeptLines, named: Mapping[str, str]) -> KeptLines:
+    """The lines of a mean under another name where changes are taken out: the same spectra lend other lines then."""
+    if "changes" not in named:
+        return lines
+    return replace(lines, spectra=np.array([hash_content([one, named["changes"]]) for one in lines.spectra.tolist()]))
 
 
 def _versions(
@@ -570,14 +580,14 @@ def find_standing(stores: Stores, scopes: Sequence[Scope], since: Instant, until
     return {scope: name for scope, (name, *others) in names.items() if name is not None and not others}
 
 
-def tell(version: Version, *, is_in_effect: bool) -> Told:
+def tell(version: Version, changes: Sequence[Instant], *, is_in_effect: bool) -> Told:
     """Read the curves that a scope is served after a fit."""
     curves: Mapping[str, tuple[Floats, Floats]] = {
         str(curve.dipole): (curve.c, curve.c_sigma_stat)
         for curve in version.curves
         if curve.c is not None and curve.c_sigma_stat is not None
     }
-    return Told(version.scope, version.id, is_in_effect, curves)
+    return Told(version.scope, version.id, is_in_effect, curves, changes)
 
 
 def _rows_of_piece(piece: KeptPiece, spectra: Spectra) -> NDArray[np.bool_]:

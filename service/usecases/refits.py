@@ -101,7 +101,7 @@ class Refits:
         made, gains = self.fits.elsewhere(_fit, spectra, wanted, neighbours, known)
         with self.database.write() as stores:
             said = _read_said(stores, block) if part.is_due else {}
-            kept = self._keep(stores, made.versions, part, said)
+            kept = self._keep(stores, made.versions, part, said, neighbours)
             is_night = part.is_due and part.request["promote"]
             withdrawn = list(_withdraw_gaps(stores, made.versions, part, said)) if is_night else []
             if part.request["promote"]:
@@ -138,7 +138,7 @@ class Refits:
             stores.ledger.lock()
             if _explain_other_model(stores, part) or not is_still_told(stores, pieces):
                 return False
-            kept = self._keep(stores, versions, part, {})
+            kept = self._keep(stores, versions, part, _list_said(pieces), neighbours)
             stores.versions.confirm(found.examined)
             if versions:
                 keep_told(stores, later.block, pieces, kept.told, [one for of_path in made for one in of_path.pieces])
@@ -160,7 +160,7 @@ class Refits:
         made, _ = self.fits.elsewhere(_fit, spectra, of_path, neighbours, {}, budget)
         return made
 
-    def _keep(self, stores: Stores, made: list[Version], part: Part, said: Said) -> _Kept:
+    def _keep(self, stores: Stores, made: list[Version], part: Part, said: Said, neighbours: Neighbours) -> _Kept:
         """Store new versions, each with the objection of the gate if promotion was asked for.
 
         What the gate compares with must not change before the promotions are written: the ledger is locked first. Due
@@ -173,10 +173,12 @@ class Refits:
             return kept
         stores.ledger.lock()
         for window in dict.fromkeys(version.window for version in made):
-            self._keep_window(stores, [v for v in made if v.window == window], part, said, kept)
+            self._keep_window(stores, [v for v in made if v.window == window], part, said, neighbours, kept)
         return kept
 
-    def _keep_window(self, stores: Stores, made: list[Version], part: Part, said: Said, kept: _Kept) -> None:
+    def _keep_window(
+        self, stores: Stores, made: list[Version], part: Part, said: Said, neighbours: Neighbours, kept: _Kept
+    ) -> None:
         """Store the new versions of one window.
 
         What somebody put into effect since due work spoke of the window last stays, while it would say the same again.
@@ -185,6 +187,7 @@ class Refits:
         since, until = made[0].window
         middle = (since + until) // 2
         scopes = [version.scope for version in made]
+        changes = {scope: neighbours.changes_of(scope) for scope in scopes}
         before = find_predecessors(stores.ledger, scopes, middle)
         standing = find_standing(stores, scopes, since, until)
         own = {scope: said[scope, since, until] for scope in scopes if (scope, since, until) in said}
@@ -204,7 +207,7 @@ class Refits:
         for v in made if part.is_due else []:
             name = aside.get(v.scope) or standing.get(v.scope)
             is_same = v.id == name
-            one = None if is_same else _examine(v, versions.get(str(name))) or _find_again(stores, v, name, versions)
+            one = None if is_same else _confirm(stores, v, versions.get(str(name)), own.get(v.scope), changes[v.scope])
             if gated[v.id] is None and one is not None:
                 examined[v.scope] = one
                 versions |= stores.versions.get_many([one.calibration])
@@ -226,10 +229,12 @@ class Refits:
         kept.result["promoted"] += [one.calibration for one in promoted]
         kept.result["gated"] |= {name: objection for name, objection in gated.items() if objection is not None}
         kept.result["examined"] += len(examined)
-        told = {v.scope: tell(v, is_in_effect=v.id in (passed.get(v.scope), standing.get(v.scope))) for v in news}
-        told |= {scope: tell(versions[one.calibration], is_in_effect=True) for scope, one in examined.items()}
+        in_effect = {scope: {passed.get(scope), standing.get(scope)} for scope in scopes}
+        told = {v.scope: tell(v, changes[v.scope], is_in_effect=v.id in in_effect[v.scope]) for v in news}
+        told |= {of: tell(versions[one.calibration], changes[of], is_in_effect=True) for of, one in examined.items()}
         kept.told |= {
-            (scope, since, until): own.get(scope, one) if scope in stays else one for scope, one in told.items()
+            (scope, since, until): replace(own.get(scope, one), changes=one.changes) if scope in stays else one
+            for scope, one in told.items()
         }
 
 
@@ -265,7 +270,10 @@ def _fit(
 def _read_said(stores: Stores, now: Sums) -> Said:
     """What was put into effect when a fit of a block was kept last."""
     kept = stores.sums.get(now.kind, now.scope, now.since, now.until)
-    pieces = [] if kept is None else read_pieces(kept.arrays)
+    return {} if kept is None else _list_said(read_pieces(kept.arrays))
+
+
+def _list_said(pieces: Sequence[KeptPiece]) -> Said:
     return {(one.scope, of.since, of.until): one for of in pieces for one in of.told if one.is_in_effect}
 
 
@@ -283,14 +291,29 @@ def _is_set_apart(stores: Stores, version: Version, said: Said) -> bool:
     return version.id in inside and None not in inside and is_somebodys
 
 
-def _find_again(stores: Stores, new: Version, name: str | None, versions: Mapping[str, Version]) -> Examined | None:
-    """The fit as a confirmation of what answered in its window when that was cut, or its mean made, as it is again."""
-    if name is not None and find_shift(versions[name], new) is not None:
-        return None
+def _confirm(
+    stores: Stores, new: Version, in_effect: Version | None, said: Told | None, changes: Sequence[Instant]
+) -> Examined | None:
+    """The fit as a confirmation of the version in effect, or of one that answered before; None if it is news.
+
+    Where a decision about a change was taken since, that which answered before it comes first.
+    """
+    one = _examine(new, in_effect)
+    is_decided = said is not None and said.changes not in (None, changes)
+    is_other = is_decided or in_effect is None or find_shift(in_effect, new) is None
+    return one if one is not None and not is_other else _find_again(stores, new, in_effect, is_any=is_other) or one
+
+
+def _find_again(stores: Stores, new: Version, in_effect: Version | None, *, is_any: bool) -> Examined | None:
+    """The fit as a confirmation of the last other that answered in its window, of any or of the same spectra."""
     promotions = stores.ledger.of_interval(new.scope, *new.window, MOST_RECALLED)
-    then = stores.versions.get_many([str(one.calibration) for one in promotions])
-    names = [] if new.id in then else [str(one.calibration) for one in promotions]
-    return next((one for name in names if (one := _examine(new, then[name]))), None)
+    names = dict.fromkeys(str(one.calibration) for one in promotions)
+    if in_effect is not None:
+        names.pop(in_effect.id, None)
+    then = {} if new.id in names else stores.versions.get_many(names)
+    others = [then[name] for name in names if name in then]
+    alike = [one for one in others if is_any or one.inputs["spectra"] == new.inputs["spectra"]]
+    return next((one for version in alike if (one := _examine(new, version))), None)
 
 
 def _withdraw_gaps(stores: Stores, made: Sequence[Version], part: Part, said: Said) -> Iterator[Promotion]:
@@ -309,7 +332,8 @@ def _withdraw_gaps(stores: Stores, made: Sequence[Version], part: Part, said: Sa
             promotions = stores.ledger.standing([scope], start, end) if start < end else []
             for one in timeline(promotions, scope):
                 since, until = max(one.start or start, start), min(one.end or end, end)
-                if one.calibration in names and since < until:
+                is_own = one.promotion is not None and one.promotion.by == part.by
+                if is_own and one.calibration in names and since < until:
                     yield Promotion(0, scope, since, until, None, 0, part.by, part.reason)
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -44,6 +45,14 @@ class Neighbours:
         dates = [[date for key in keys for date in self.changes.get(key, ())] for keys in asked]
         return np.array([not any(first <= date <= last for date in found) for found in dates])
 
+    def changes_of(self, scope: Scope) -> list[Instant]:
+        """When hardware is known to have changed, rising: that of a path, or behind a mean."""
+        own = (None, scope.antenna)
+        is_own = {
+            key: scope.station in (None, key[0]) and (scope.antenna is None or key[1] in own) for key in self.changes
+        }
+        return sorted(date for key, dates in self.changes.items() if is_own[key] for date in dates)
+
     def and_also(self, window: KeptPiece) -> Neighbours:
         """Add one window."""
         return replace(self, windows=[*self.windows, window])
@@ -60,18 +69,26 @@ def name_beside(
     scope: Scope, curves: Sequence[CalibrationCurve], beside: Sequence[tuple[KeptPiece, Beside]]
 ) -> dict[str, str]:
     """Name the windows that a version was fitted together with."""
-    return {BESIDE: name_windows(scope, beside)} if any(curve.repeated for curve in curves) else {}
+    repeated = {curve.path: curve.repeated.windows for curve in curves if curve.repeated}
+    same = Counter(owner for _, of in beside for k, owner in enumerate(of.lines.owners) if _lends(of, k))
+    # more windows than have the same hardware: the path is too small for a fit, and all lend to it
+    small = [owner for owner, windows in repeated.items() if windows > 1 + same[owner]]
+    return {BESIDE: name_windows(scope, beside, small)} if repeated else {}
 
 
-def name_windows(scope: Scope, beside: Sequence[tuple[KeptPiece, Beside]]) -> str:
-    """The hash of the spectra of a scope in other windows, and of those between which and the own it changed."""
+def name_windows(scope: Scope, beside: Sequence[tuple[KeptPiece, Beside]], small: Collection[Owner] = ()) -> str:
+    """The hash of the spectra of a scope in the windows that lend to it; small paths borrow over changes too."""
     named = sorted(
         [one.since, one.until, str(of.lines.spectra[k]), *([] if of.is_same[k] else [APART])]
         for one, of in beside
         for k, owner in enumerate(of.lines.owners)
-        if of.lines.is_good[k] and scope == scope_of(owner)
+        if scope == scope_of(owner) and _lends(of, k, is_small=owner in small)
     )
     return hash_content([*named, AWAY] if scope.antenna is None and named else named)
+
+
+def _lends(of: Beside, k: int, *, is_small: bool = False) -> bool:
+    return bool(of.lines.is_good[k] and (of.is_same[k] or is_small))
 
 
 def scope_of(owner: Owner) -> Scope:

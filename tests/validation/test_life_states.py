@@ -7,8 +7,8 @@ import pytest
 
 from lbacal_core.curves.validity import Scope
 from service.storage.changes import DISMISSED, IN_FORCE
-from service.wire.bodies import DecisionBody
-from validation.life_states import Life, live
+from service.wire.bodies import DecisionBody, ReasonBody
+from validation.life_states import BY, Life, live
 from validation.life_world import standing_in
 from validation.machinery.records import verdicts_of
 
@@ -110,6 +110,39 @@ def test_a_version_of_the_year_answered_behind_a_change_after_which_nothing_is_r
 def test_a_version_of_the_year_answered_before_a_change_before_which_nothing_is_recorded(life: Life) -> None:
     life.begin({2015}, set())
     life.enter({3}, "2015-06-20", None, is_night=True)
+
+
+def test_a_version_that_is_hardly_another_stayed_when_the_decision_that_had_brought_it_was_undone(life: Life) -> None:
+    life.begin({2014, 2015, 2016}, set())
+    life.enter({0, 3}, "2015-01-01", None, is_night=True)
+    decide(life, 0, DISMISSED)
+
+
+def test_a_month_that_was_no_news_gave_the_fits_of_an_undone_decision_other_names(life: Life) -> None:
+    """Windows over a change were in the names of fits to which they lend nothing."""
+    life.begin({2014, 2015, 2016}, {2})
+    late(life, (2016, 2))
+    for decision in (DISMISSED, IN_FORCE):
+        decide(life, 1, decision)
+
+
+def test_a_night_withdrew_what_somebody_had_put_back_before_a_change(life: Life) -> None:
+    """The antenna has no events before the change: the version of the year was withdrawn there, and rolled back."""
+    life.begin({2015}, {1, 10, 11})
+    life.enter({0, 2, 3}, "2015-06-20", None, is_night=True)
+    with life.factory.database.read() as stores:
+        newest = stores.ledger.newest_number()
+        withdrawn = next(n for n in range(newest, 0, -1) if stores.ledger.act_of(n)[-1].calibration is None)
+    plan = life.factory.promotions.plan_rollback(withdrawn, ReasonBody(reason="test"), BY)
+    life.do("roll back", lambda: life._promote(plan), is_night=True)
+    life.enter({1}, "2015-05-20", -0.05, is_night=True)
+
+
+def test_two_months_that_were_no_news_of_their_year_moved_another_by_more_than_was_allowed(life: Life) -> None:
+    """The years differ by a step that was dismissed: where a month counts in one, the mean of all moves."""
+    life.begin({2014, 2015, 2016}, {1, 2, 5, 9, 12})
+    decide(life, 1, DISMISSED)
+    late(life, (2016, 1), (2016, 2))
 
 
 def test_nights_and_decisions_leave_what_follows_from_the_last_state() -> None:

@@ -220,3 +220,35 @@ def test_later_events_continue_a_mean_with_an_antenna_that_is_away(scene, years)
     for curve in together.curves:
         c, sigma, *_ = continued.curves[curve.station, None, curve.dipole]
         assert np.max(np.abs(c - curve.c) / sigma) < 0.25
+
+
+def test_a_small_window_borrows_of_those_that_have_their_own_noise_levels_and_its_lines_are_named_by_them(
+    scene, years, alone
+):
+    """C of two small windows depended on which of them had been fitted first, and the same name had two values."""
+    half = [years[k].select(np.isin(years[k].event_id, np.unique(years[k].event_id)[:40])) for k in (1, 2)]
+    large = beside(alone["antenna"], 1)[:2]
+    lender = fit_calibration(half[0], scene.simulation, "antenna", large)
+    assert {curve.status for curve in lender.curves} == {"converged"}
+    of_both = [beside([lender], 2) + large, large + beside([lender], 2)]
+    near, far = (fit_calibration(half[1], scene.simulation, "antenna", of) for of in of_both)
+    for one, other in zip(near.lines, far.lines, strict=True):
+        assert np.array_equal(one.slope, other.slope)
+        assert np.array_equal(one.spectra, other.spectra)
+    assert {curve.status for curve in fit_calibration(half[1], scene.simulation, "antenna", of_both[0][:2]).curves} == {
+        "too_few_events"
+    }
+    other = fit_calibration(half[1], scene.simulation, "antenna", beside([alone["antenna"][1]], 2))
+    assert not set(near.lines[0].spectra) & set(other.lines[0].spectra)
+
+
+def test_lines_of_a_mean_are_named_by_the_members_that_other_windows_lend(scene, years):
+    """The same spectra with other members had the same name, and the fits beside it two values of C."""
+    report = fit_calibration(years[0], scene.simulation, "station")
+    without = years[1].select(years[1].antenna != 1)
+    by_itself, found, again = (fit_calibration(without, scene.simulation, "station", of) for of in (
+        [], beside([report], 1), beside([report], 1)
+    ))  # fmt: skip
+    names = [one.lines[0].spectra.tolist() for one in (by_itself, found, again)]
+    assert names[0] != names[1] == names[2]
+    assert names[0] == [without.digest("CS002", None, found.lines[0].owners[0][2])]
