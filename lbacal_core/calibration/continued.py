@@ -9,7 +9,7 @@ be screened, where more than a twentieth of the events are new, or where a path 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +18,9 @@ from lbacal_core.calibration.channels import solve_without_interference
 from lbacal_core.calibration.lines import Lines, continue_lines
 from lbacal_core.calibration.paths import LEAST_COVERAGE, MeanOfEvents, Paths
 from lbacal_core.calibration.singles import MIN_EVENTS, relative_variance_of
-from lbacal_core.calibration.years import Beside, lines_of, pick_beside, solve_together
+from lbacal_core.calibration.years import Beside, lines_of, pick_beside, solve_together, weigh_by_members
 from lbacal_core.curves.curves import CalibrationCurve
-from lbacal_core.curves.kept_lines import KeptLines, MemberLines, Owner
+from lbacal_core.curves.kept_lines import KeptLines, MemberLines, Owner, join_away
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.chain import calibration_factor
 from lbacal_core.provenance import hash_arrays
@@ -103,15 +103,34 @@ def continue_fit(
     """
     blocks = [] if new is None else split_into_blocks(new)
     curves, undecided = dict[Owner, tuple[Floats, Floats, float]](), set[Owner]()
-    for one in kept:
+    for then in kept:
+        others = pick_beside(beside, then.owners[0])
+        one = _renew_away(then, others)
         if one.members is None:
             events = _read_paths(one, blocks, simulation)
         else:
             events = _read_mean(one, one.members, blocks, simulation)
-        found = _continue_paths(one, events, simulation, pick_beside(beside, one.owners[0]))
+        found = _continue_paths(one, events, simulation, weigh_by_members(others, one.members, int(one.events[0])))
         curves |= found.curves
         undecided |= found.undecided
     return Continued(curves, frozenset(undecided))
+
+
+def _renew_away(kept: KeptLines, beside: Sequence[Beside]) -> KeptLines:
+    """The lines of a mean with those of who is away as other windows have them now."""
+    members = kept.members
+    if members is None or not np.any(members.is_away):
+        return kept
+    lend = [one.lines.members for one in beside if one.is_same[0] and one.lines.is_good[0]]
+    here, names = members.take(~members.is_away), set(members.names)
+    now = join_away(here, [one.select(names) for one in lend if one is not None])
+    slope, intercept = (
+        mean + one.mean(axis=0) - then.mean(axis=0)
+        for mean, one, then in (
+            (kept.slope, now.slope, members.slope), (kept.intercept, now.intercept, members.intercept)
+        )
+    )  # fmt: skip
+    return replace(kept, slope=slope, intercept=intercept, members=now)
 
 
 @dataclass(frozen=True)

@@ -49,7 +49,15 @@ from lbacal_core.calibration.paths import (
 from lbacal_core.calibration.separable import SeparableSolution
 from lbacal_core.calibration.singles import MIN_EVENTS, chain_forms
 from lbacal_core.calibration.spreads import measure_spreads
-from lbacal_core.calibration.years import FEWEST_EVENTS, Beside, Together, lend, pick_beside, solve_together
+from lbacal_core.calibration.years import (
+    FEWEST_EVENTS,
+    Beside,
+    Together,
+    lend,
+    pick_beside,
+    solve_together,
+    weigh_by_members,
+)
 from lbacal_core.curves.covariance import CurveCovariance, compress_covariance
 from lbacal_core.curves.curves import (
     CONVERGED,
@@ -131,7 +139,9 @@ def fit_calibration(
         station, _, letter = paths.owners[0]
         sky = simulation.sky_power.of_station(station).at(letter, paths.lst_hours)
         loss = _losses(paths, instrument, cable_of)
-        curves, lines, waves = _fit_paths(paths, sky, simulation, loss, pick_beside(beside, paths.owners[0]))
+        events = int(np.isfinite(paths.relative_variance[0]).sum())
+        others = weigh_by_members(pick_beside(beside, paths.owners[0]), paths.member_lines, events)
+        curves, lines, waves = _fit_paths(paths, sky, simulation, loss, others)
         chains = [_chain_of(curve, paths, instrument, table, cable_of) for curve, _ in curves]
         of_paths = [(*curve, chain) for curve, chain in zip(curves, chains, strict=True)]
         digests = [spectra.digest(*owner) for owner in paths.owners]

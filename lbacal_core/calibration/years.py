@@ -28,7 +28,7 @@ from lbacal_core.calibration.paths import Paths
 from lbacal_core.calibration.separable import SeparableSolution
 from lbacal_core.calibration.singles import MIN_EVENTS
 from lbacal_core.curves.curves import Repeated
-from lbacal_core.curves.kept_lines import KeptLines, Owner
+from lbacal_core.curves.kept_lines import KeptLines, MemberLines, Owner
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.chain import Intercepts
 from lbacal_core.linear import invert_symmetric, solve_symmetric
@@ -161,6 +161,33 @@ def _solve(
 def pick_beside(beside: Sequence[Beside], owner: Owner) -> list[Beside]:
     """Select the windows of the station and dipole of a path, or of a mean."""
     return [one for one in beside if one.lines.owners[0][::2] == owner[::2]]
+
+
+def weigh_by_members(beside: Sequence[Beside], members: MemberLines | None, events: int) -> list[Beside]:
+    """The windows of a mean, each with the information that it has of how the mean differs between both windows.
+
+    Who is away in one of them has its lines from the other (`join_away`) and tells nothing of the difference: its
+    variance is that of the means of the members that both have. The lines of the window itself stand for the variance
+    of the members that it has; what is missing is given to those of the other.
+
+    Parameters
+    ----------
+    members
+        Those of the window itself; None where paths are single ones.
+    events
+        How many the window itself has.
+    """
+    if members is None:
+        return list(beside)
+    found, own = [], members.variance_of(members.present)
+    for one in beside:
+        there, count = one.lines.members, int(one.lines.events[0])
+        common = set() if there is None else members.present & there.present
+        if there is not None and common:
+            missing = (members.variance_of(common) - own) / events + there.variance_of(common) / count
+            share = there.variance_of(there.present) / count / missing
+            found.append(replace(one, lines=replace(one.lines, information=share * one.lines.information)))
+    return found
 
 
 def gain_modes(frequency_mhz: Floats) -> Floats:

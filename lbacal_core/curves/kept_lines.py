@@ -55,6 +55,16 @@ class MemberLines:
         """Whether a member takes part in no event, shape (member,)."""
         return np.asarray(self.level == 0.0)
 
+    @property
+    def present(self) -> set[tuple[str, int]]:
+        """Station and antenna of each that takes part in events."""
+        return set(self.take(~self.is_away).names)
+
+    def variance_of(self, names: Container[tuple[str, int]]) -> float:
+        """The relative variance of the mean of some members in an event, as far as they scatter independently."""
+        some = self.select(names)
+        return float(np.sum((some.level * some.scatter) ** 2) / np.sum(some.level) ** 2)
+
     def take(self, at: NDArray[np.bool_]) -> MemberLines:
         """Take the members of a mask, shape (member,)."""
         return MemberLines(**{key: values[at] for key, values in vars(self).items()})

@@ -296,24 +296,21 @@ def _confirm(
 ) -> Examined | None:
     """The fit as a confirmation of the version in effect, or of one that answered before; None if it is news.
 
-    Where a decision about a change was taken since, that which answered before it comes first.
+    Where a decision about a change was taken since, what answered before may be nearer than what is in effect.
     """
     one = _examine(new, in_effect)
     is_decided = said is not None and said.changes not in (None, changes)
     is_other = is_decided or in_effect is None or find_shift(in_effect, new) is None
-    return one if one is not None and not is_other else _find_again(stores, new, in_effect, is_any=is_other) or one
-
-
-def _find_again(stores: Stores, new: Version, in_effect: Version | None, *, is_any: bool) -> Examined | None:
-    """The fit as a confirmation of the last other that answered in its window, of any or of the same spectra."""
+    if one is not None and not is_other:
+        return one
     promotions = stores.ledger.of_interval(new.scope, *new.window, MOST_RECALLED)
-    names = dict.fromkeys(str(one.calibration) for one in promotions)
-    if in_effect is not None:
-        names.pop(in_effect.id, None)
-    then = {} if new.id in names else stores.versions.get_many(names)
-    others = [then[name] for name in names if name in then]
-    alike = [one for one in others if is_any or one.inputs["spectra"] == new.inputs["spectra"]]
-    return next((one for version in alike if (one := _examine(new, version))), None)
+    names = [str(p.calibration) for p in promotions if in_effect is None or p.calibration != in_effect.id]
+    if new.id in names:
+        return None
+    then = stores.versions.get_many(names)
+    alike = [then[name] for name in names if is_other or then[name].inputs["spectra"] == new.inputs["spectra"]]
+    found = [next((again for version in alike if (again := _examine(new, version))), None), one]
+    return min((again for again in found if again is not None), key=lambda again: again.shift, default=None)
 
 
 def _withdraw_gaps(stores: Stores, made: Sequence[Version], part: Part, said: Said) -> Iterator[Promotion]:

@@ -59,8 +59,8 @@ class Neighbours:
 
 
 ALONE = Neighbours((), {}, {})
-AWAY = "members that are away"
-"""Part of the name of a mean that other windows lend their members to: without them the same input gave another C."""
+AWAY = "members of both windows"
+"""Part of the name of a mean beside other windows: when these lent by other rules the same input gave another C."""
 APART = "changed between"
 """Part of the name of a window that a change parts from the own: it lends less, and C is another."""
 

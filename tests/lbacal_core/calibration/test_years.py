@@ -6,8 +6,8 @@ from scipy.optimize import least_squares
 
 from lbacal_core.calibration.continued import continue_fit
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.calibration.years import GAIN_SIGMAS, Beside, gain_modes
-from lbacal_core.curves.kept_lines import read_lines, write_lines
+from lbacal_core.calibration.years import GAIN_SIGMAS, Beside, gain_modes, weigh_by_members
+from lbacal_core.curves.kept_lines import KeptLines, MemberLines, join_away, read_lines, write_lines
 
 YEARS = 3
 GAINS = (0.0, 0.02, -0.03)
@@ -252,3 +252,54 @@ def test_lines_of_a_mean_are_named_by_the_members_that_other_windows_lend(scene,
     names = [one.lines[0].spectra.tolist() for one in (by_itself, found, again)]
     assert names[0] != names[1] == names[2]
     assert names[0] == [without.digest("CS002", None, found.lines[0].owners[0][2])]
+
+
+def test_who_is_away_in_a_mean_is_as_other_windows_have_it_now(scene, years):
+    """What another year had changed of it was no news until all spectra were read again, for whatever reason."""
+    without = years[1].select(years[1].antenna != 1)
+    then, now = (fit_calibration(one, scene.simulation, "station") for one in (years[0], years[2]))
+    found = fit_calibration(without, scene.simulation, "station", beside([then], 1))
+    continued = continue_fit(found.lines, None, scene.simulation, beside([now], 1))
+    for curve in fit_calibration(without, scene.simulation, "station", beside([now], 1)).curves:
+        c, sigma, *_ = continued.curves[curve.path]
+        assert np.max(np.abs(c - curve.c) / sigma) < 0.05
+
+
+@pytest.mark.parametrize(("here", "there"), [("0123", "0123"), ("012", "0123"), ("023", "012"), ("01", "0123")])
+def test_two_means_differ_by_the_noise_of_the_members_that_both_have(here, there):
+    """The lines of members are drawn 20,000 times, those of who is away joined, and the means compared."""
+    rng = np.random.default_rng(1)
+    level, scatter, events, draws = (
+        np.array([1.0, 2.0, 1.5, 0.5]),
+        np.array([0.05, 0.04, 0.06, 0.05]),
+        (100, 300),
+        20_000,
+    )
+
+    def draw(names, count):
+        at = [int(one) for one in names]
+        lines = level[at, None] * (1.0 + scatter[at, None] / np.sqrt(count) * rng.standard_normal((len(at), draws)))
+        return MemberLines(np.full(len(at), "CS002"), np.array(at), lines, lines, level[at], scatter[at])
+
+    own, other = (draw(names, count) for names, count in zip((here, there), events, strict=True))
+    of_own, of_other = (join_away(a, [b]).slope.mean(axis=0) for a, b in ((own, other), (other, own)))
+    lines = KeptLines(
+        [("CS002", None, "X")], np.array([events[1]]), *[np.ones(1, dtype=bool)] * 2, *[np.ones((1, 1))] * 2,
+        np.ones((1, 2, 2)), *[np.ones((1, 1))] * 5, np.array(["name"]), 100.0, members=other,
+    )  # fmt: skip
+    (weighed,) = weigh_by_members([Beside(lines, np.ones(1, dtype=bool))], own, events[0])
+    claimed = own.variance_of(own.present) / events[0]
+    claimed += other.variance_of(other.present) / events[1] / weighed.lines.information[0, 0, 0]
+    assert np.var(np.log(of_own / of_other)) == pytest.approx(claimed, rel=0.05)
+
+
+def test_a_mean_without_a_common_member_lends_nothing():
+    ones = np.ones((2, 3))
+    some, others = (
+        MemberLines(np.full(2, "CS002"), np.array(at), ones, ones, ones[:, 0], ones[:, 0]) for at in ([0, 1], [2, 3])
+    )
+    lines = KeptLines(
+        [("CS002", None, "X")], np.array([9]), *[np.ones(1, dtype=bool)] * 2, *[np.ones((1, 1))] * 2,
+        np.ones((1, 2, 2)), *[np.ones((1, 1))] * 5, np.array(["name"]), 100.0, members=others,
+    )  # fmt: skip
+    assert weigh_by_members([Beside(lines, np.ones(1, dtype=bool))], some, 9) == []
