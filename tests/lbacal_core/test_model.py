@@ -116,7 +116,7 @@ def test_what_recurs_leaves_one_c(cause, parameters):
     ("report", "message"),
     [
         ({"verdict": "consistent", "findings": []}, "a finding to adopt"),
-        ({"findings": [{**FINDING, "cause": "cable_length"}]}, "A\\(nu\\) of every path"),
+        ({"findings": [{**FINDING, "cause": "cable_length"}]}, "is in A\\(nu\\), and C is right"),
         ({"findings": [{**FINDING, "where": {"axis": "lst"}}]}, "one of an LST curve"),
         ({"findings": [{**FINDING, "size": {"value": 1.0, "sigma": None}}]}, "a size with an error"),
         ({"findings": [{"cause": "lst_offset"}]}, "the fields of a finding"),

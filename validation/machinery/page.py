@@ -31,7 +31,7 @@ The rows are the main claims of each proof; what else is refuted or undecided st
 """
 TABLE = ("| claim | asked | found (interval) | n | verdict | proof |", "|" + "---|" * 6)
 PROOFS = "`./dev prove` lists the proofs. Hours of one core: "
-OPEN = "Undecided, by their names in the record of each part, which has sentence, limit and interval: "
+OPEN = "Undecided (their records have sentence, limit and interval): "
 LIMITS = """\
 - The twin that makes the data is ours. It shares no code with what is tested, but its author has read both: a fault of
   nature of which nobody thought is in no row.
