@@ -37,6 +37,7 @@ from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.table import SkyPower
 from lbacal_core.spectra.blocks import split_into_blocks
 from lbacal_core.spectra.spectra import Spectra
+from lbacal_core.spectra.stations import Recorded, SpectraByStation
 from service.storage.changes import Cut, KeptChange
 from service.storage.sums import Sums
 from service.usecases.drift import year_of
@@ -164,8 +165,9 @@ def ln_c(own: float, windows: Sequence[tuple[float, int]]) -> float:
     return -0.5 * ((1.0 - OF_ALL) * own + OF_ALL * of_all)
 
 
-def fit(spectra: Spectra, simulation: Simulation, scope: str = "antenna", beside: Sequence[Beside] = ()) -> FitReport:
+def fit(spectra: Recorded, simulation: Simulation, scope: str = "antenna", beside: Sequence[Beside] = ()) -> FitReport:
     """Stand in for `fit_calibration`."""
+    spectra = spectra.read(STATION) if isinstance(spectra, SpectraByStation) else spectra
     curves, members, kept = [], list[list[int]](), dict[str, list[_Kept]]()
     for owner, antennas, of_events in _owned(spectra, scope):
         own, events = float(np.mean(of_events)), of_events.size
