@@ -20,6 +20,9 @@ C_LABEL = "C (µV per ADC unit)"
 SMALLEST_LIMIT = 0.5
 """Per cent: the colours of a residual map go no further down, else noise alone would fill them."""
 
+TOTAL, STATISTICAL = "total error", "statistical (dark)"
+"""Names of the bands of an error, said once in a chart."""
+
 
 def draw_curves(title: str, curves: Sequence[CalibrationCurve], beside: Mapping[str, Any] | None = None) -> Chart:
     """C of some curves with the statistical error (dark) and the total (light); beside it others, name to (mhz, C)."""
@@ -27,7 +30,7 @@ def draw_curves(title: str, curves: Sequence[CalibrationCurve], beside: Mapping[
     series: list[Series] = []
     for k, curve in enumerate(fitted):
         name = curve.name if len(fitted) == 1 else curve.dipole or curve.name
-        series += _draw_curve(curve, name, OF_DIPOLE.get(str(curve.dipole), k % len(OF_DIPOLE) + 1))
+        series += _draw_curve(curve, name, OF_DIPOLE.get(str(curve.dipole), k % len(OF_DIPOLE) + 1), k == 0)
     for style, (name, (mhz, c)) in zip(cycle((1, 2, 3)), (beside or {}).items(), strict=False):
         series.append(Series(LINE, mhz, MICRO * np.asarray(c, dtype=float), name=name, style=style))
     return Chart(title, FREQUENCY, C_LABEL, series, y_limits=above_zero(series))
@@ -38,10 +41,10 @@ def above_zero(series: Sequence[Series]) -> tuple[float, float]:
     return 0.0, 1.05 * max((float(np.nanmax(one.high)) for one in series if one.kind == BAND), default=1.0)
 
 
-def _draw_curve(curve: CalibrationCurve, name: str, colour: int) -> Iterator[Series]:
+def _draw_curve(curve: CalibrationCurve, name: str, colour: int, is_first: bool) -> Iterator[Series]:
     mhz, c, stat, total = curve.frequency_mhz, *(MICRO * one for one in values_of(curve))
-    yield Series(BAND, mhz, low=c - total, high=c + total, name=f"{name}: total error", colour=colour)
-    yield Series(BAND, mhz, low=c - stat, high=c + stat, name=f"{name}: statistical (dark)", colour=colour)
+    yield Series(BAND, mhz, low=c - total, high=c + total, name=TOTAL * is_first, colour=colour)
+    yield Series(BAND, mhz, low=c - stat, high=c + stat, name=STATISTICAL * is_first, colour=colour)
     errors = (
         f"± {s:.1f} % statistical, ± {t:.1f} % in all"
         for s, t in zip(*(PERCENT * np.array([stat, total]) / c), strict=True)

@@ -12,6 +12,8 @@ from lbacal.pages.curves import (
     C_LABEL,
     FREQUENCY,
     MICRO,
+    STATISTICAL,
+    TOTAL,
     above_zero,
     draw_curves,
     draw_noise,
@@ -127,7 +129,7 @@ def draw_c(curves: Sequence[CalibrationCurve], title: str = "C") -> Chart:
         mhz, colour, c = own[0].frequency_mhz, OF_DIPOLE.get(dipole, INK), np.array([one.c for one in own], dtype=float)
         middle = np.nanmedian(c, axis=0)
         stat, sys = (_median_error(own, name) for name in ("c_sigma_stat", "c_sigma_sys"))
-        for error, label in ((np.hypot(stat, np.nan_to_num(sys)), "total error"), (stat, "statistical (dark)")):
+        for error, label in ((np.hypot(stat, np.nan_to_num(sys)), TOTAL), (stat, STATISTICAL)):
             low, high = (MICRO * middle * (1.0 + sign * error) for sign in (-1, 1))
             series.append(Series(BAND, mhz, low=low, high=high, name=f"{dipole}: {label}", colour=colour))
         low, high = MICRO * np.nanpercentile(c, WITHIN_1_SIGMA, axis=0)

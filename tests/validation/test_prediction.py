@@ -54,7 +54,10 @@ def test_measured_over_predicted_power_is_what_the_page_says(shared: Path, tmp_p
     median = {(row[1], row[4]): row[5] for row in rows}
     page = " ".join((repository / "docs/how-to/predict.md").read_text().split())
     x, y, old = (median[path] for path in (("CS011", "X"), ("CS011", "Y"), ("CS001", "Y")))
-    assert f"is {x} and {y} in X and Y of CS011 in 2011 and {old} in a trace of CS001 of 2008" in page
+    assert (
+        f"in the median over 30-80 MHz {x} and {y} in X and Y of CS011 in 2011, {old} in a trace of CS001 of 2008"
+        in page
+    )
     assert len(rows) == 5
 
 
