@@ -346,8 +346,7 @@ def _fit_chain(
     plain = None if known is None else known.solution.take(np.searchsorted(known.solved, at))
     alone = solve_without_interference(lines.slope[at], lines.intercept[at], lines.information[at], terms, plain)
     is_small = np.isin(status, TOO_SMALL) & (events >= FEWEST_EVENTS)
-    lent = lend(beside, is_small, paths, sky, loss, terms)
-    if lent is not None:
+    for lent in lend(beside, is_small, paths, sky, loss, terms):
         lines, at, alone = lines.exchange(lent.at, lent.lines), *lent.insert_into(at, *alone)
     owners = [paths.owners[k] for k in at.tolist()]
     together = solve_together(

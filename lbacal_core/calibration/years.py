@@ -14,7 +14,7 @@ are known so well that a closer one does not change C of steady years (docs/deci
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -302,20 +302,22 @@ class Lent:
 
 def lend(
     beside: Sequence[Beside], is_small: NDArray[np.bool_], paths: Paths, sky: Floats, loss: Floats, terms: Intercepts
-) -> Lent | None:
-    """Take noise levels and chain from the nearest window that has its own, if one has, for paths with too few events.
+) -> Iterator[Lent]:
+    """Take noise levels and chain from the nearest window that has its own, for each path with too few events.
 
     Parameters
     ----------
     sky
         P_sky, shape (event, freq).
     """
+    lacks = is_small.copy()
     for one in beside:
         # what a window has borrowed it lends to nobody: C would depend on which of two small windows was fitted first
         own = {one.lines.owners[k] for k in np.flatnonzero(one.lines.events >= MIN_EVENTS).tolist()}
         has_own = np.array([owner in own for owner in paths.owners])
-        at = np.flatnonzero(is_small & has_own & _line_up(one, paths.owners, loss, is_small).has_lines)
+        at = np.flatnonzero(lacks & has_own & _line_up(one, paths.owners, loss, lacks).has_lines)
         if at.size:
+            lacks[at] = False
             of = np.array([list(one.lines.owners).index(paths.owners[k]) for k in at])
             lines = lines_of(one.lines, of)
             start, _ = solve_without_interference(lines.slope, lines.intercept, lines.information, terms)
@@ -324,8 +326,7 @@ def lend(
                 lines, slope=start.x, intercept=terms.on_line(start.x, start.n, start.q),
                 information=np.zeros_like(lines.information),
             )  # fmt: skip
-            return Lent(at, continue_lines(then, paths.power[at], sky, paths.relative_variance[at]), start)
-    return None
+            yield Lent(at, continue_lines(then, paths.power[at], sky, paths.relative_variance[at]), start)
 
 
 def lines_of(kept: KeptLines, at: NDArray[np.intp]) -> Lines:

@@ -242,6 +242,21 @@ def test_a_small_window_borrows_of_those_that_have_their_own_noise_levels_and_it
     assert not set(near.lines[0].spectra) & set(other.lines[0].spectra)
 
 
+def test_each_small_path_borrows_of_the_nearest_window_that_has_it(scene, alone):
+    """Who stood in another window than the first path that could borrow had no curve."""
+    few = draw_year(scene, 1, events=30, days=20.0)
+    of_both = beside(alone["antenna"], 1)
+    parted = [replace(one, lines=one.lines.lend({one.lines.owners[k // 2]})) for k, one in enumerate(of_both)]
+    found = fit_calibration(few, scene.simulation, "antenna", parted)
+    assert {curve.status for curve in found.curves} == {"converged"}
+    for curve in found.curves:
+        own = [one for one in parted if (curve.path, True) in zip(one.lines.owners, one.lines.is_good, strict=True)]
+        assert len(own) == 1
+        by_itself = {one.path: one.c for one in fit_calibration(few, scene.simulation, "antenna", own).curves}
+        # the gains of a batch are settled to 1e-4 together
+        assert curve.c == pytest.approx(by_itself[curve.path], rel=1e-5)
+
+
 def test_lines_of_a_mean_are_named_by_the_members_that_other_windows_lend(scene, years):
     """The same spectra with other members had the same name, and the fits beside it two values of C."""
     report = fit_calibration(years[0], scene.simulation, "station")
