@@ -491,7 +491,7 @@ def add(factory: Factory, months: Sequence[Month]) -> None:
 def replay(stores: Stores, one: KeptChange, now: Instant, *, is_found: bool) -> None:
     """Put a change on record as it is: what the drift alone found is left to be found, and only decided about."""
     told = [by for by in one.evidence if by.source != DRIFT and by.ended is None]
-    same = [kept for kept in stores.changes.kept(STATION) if kept.change == one.change]
+    same = [kept for kept in stores.changes.kept(STATION) if kept.change.is_same(one.change)]
     if told and not is_found:
         for by in told:
             same = [stores.changes.note(one.change, by)]
