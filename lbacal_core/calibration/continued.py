@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 
 from lbacal_core.calibration.channels import solve_without_interference
 from lbacal_core.calibration.lines import Lines, continue_lines
-from lbacal_core.calibration.paths import LEAST_COVERAGE, MeanOfEvents, Paths
+from lbacal_core.calibration.paths import LEAST_COVERAGE, MeanOfEvents, Paths, unchanged_cables
 from lbacal_core.calibration.singles import MIN_EVENTS, relative_variance_of
 from lbacal_core.calibration.years import Beside, lines_of, pick_beside, solve_together, weigh_by_members
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.curves.kept_lines import KeptLines, MemberLines, Owner, join_away
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.chain import calibration_factor
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import hash_arrays
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.blocks import SpectraBlock, split_into_blocks
@@ -90,7 +91,11 @@ def _name(spectra: str, curve: CalibrationCurve, radiometer: Floats, away: Membe
 
 
 def continue_fit(
-    kept: Sequence[KeptLines], new: Spectra | None, simulation: Simulation, beside: Sequence[Beside] = ()
+    kept: Sequence[KeptLines],
+    new: Spectra | None,
+    simulation: Simulation,
+    beside: Sequence[Beside] = (),
+    ends_unix: tuple[float, float] = (-np.inf, np.inf),
 ) -> Continued:
     """C of the paths of a fit with some events more.
 
@@ -102,12 +107,17 @@ def continue_fit(
         The spectra of all its paths in events that it has not seen; None where there are none.
     beside
         As in `fit_calibration`.
+    ends_unix
+        The first and the last instant of the window, s UTC.
     """
     blocks = [] if new is None else split_into_blocks(new)
     curves, undecided = dict[Owner, tuple[Floats, Floats, float]](), set[Owner]()
     for then in kept:
         others = pick_beside(beside, then.owners[0])
-        one = _renew_away(then, others)
+        one = _renew_away(then, others, simulation.instrument, ends_unix)
+        if one is None:
+            undecided.update(then.owners)
+            continue
         if one.members is None:
             events = _read_paths(one, blocks, simulation)
         else:
@@ -118,14 +128,20 @@ def continue_fit(
     return Continued(curves, frozenset(undecided))
 
 
-def _renew_away(kept: KeptLines, beside: Sequence[Beside]) -> KeptLines:
-    """The lines of a mean with those of who is away as other windows have them now."""
+def _renew_away(
+    kept: KeptLines, beside: Sequence[Beside], instrument: Instrument, ends_unix: tuple[float, float]
+) -> KeptLines | None:
+    """The lines of a mean with those of who is away as other windows have them now; None where others are away."""
     members = kept.members
-    if members is None or not np.any(members.is_away):
+    if members is None:
         return kept
-    lend = [one.lines.members for one in beside if one.is_same[0] and one.lines.is_good[0]]
-    here, names = members.take(~members.is_away), set(members.names)
-    now = join_away(here, [one.select(names) for one in lend if one is not None])
+    lend = [one.lines.members for one in beside if one.is_same[0] and one.lines.is_good[0] and one.lines.members]
+    same = unchanged_cables({name for one in lend for name in one.names}, *ends_unix, instrument)
+    now = join_away(members.take(~members.is_away), [one.select(same) for one in lend])
+    if set(now.names) != set(members.names):
+        return None
+    if not np.any(members.is_away):
+        return kept
     slope, intercept = (
         mean + one.mean(axis=0) - then.mean(axis=0)
         for mean, one, then in (

@@ -45,6 +45,7 @@ from lbacal_core.calibration.paths import (
     Paths,
     paths_of_scope,
     require_one_cable_each,
+    unchanged_cables,
 )
 from lbacal_core.calibration.separable import SeparableSolution
 from lbacal_core.calibration.singles import MIN_EVENTS, chain_forms
@@ -77,7 +78,6 @@ from lbacal_core.curves.kept_lines import KeptLines, MemberLines, Owner
 from lbacal_core.curves.reference_chain import CableTable, ReferenceChain
 from lbacal_core.errors import BadInputError, require_name
 from lbacal_core.grids import Floats, require_same_grid
-from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.instrument.chain import Intercepts, calibration_factor
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import Provenance
@@ -128,7 +128,8 @@ def fit_calibration(
     require_same_grid(head.origin, head.frequency_mhz, instrument.frequency_mhz, f"instrument {instrument.name}")
     if len(spectra) == 0:
         raise BadInputError(head.origin, "at least one spectrum", "none")
-    same = _unchanged_cables(beside, spectra, instrument)
+    away = {name for one in beside if one.lines.members is not None for name in one.lines.members.names}
+    same = unchanged_cables(away, *spectra.span_unix, instrument)
     cable_of = {**same, **require_one_cable_each(spectra, instrument)}
     table = CableTable.of(instrument)
 
@@ -192,19 +193,6 @@ def fit_calibration(
         tuple(anomaly for _, anomalies, *_ in batches for anomaly in anomalies),
         lines=tuple(lines.lend(good) for *_, lines, _ in batches),
     )
-
-
-def _unchanged_cables(beside: Sequence[Beside], spectra: Recorded, instrument: Instrument) -> Cables:
-    """The cables of members of means in other windows, where there is one on record, that of the window too."""
-    names = {name for one in beside if one.lines.members is not None for name in one.lines.members.names}
-    held: dict[tuple[str, int], list[AntennaRecord]] = {name: [] for name in names}
-    for record in instrument.antennas:
-        held.get((record.station, record.antenna), []).append(record)
-    return {
-        name: records[0].cable
-        for name, records in held.items()
-        if len(records) == 1 and all(records[0].covers(edge) for edge in spectra.span_unix)
-    }
 
 
 def _digest_of(instrument: Instrument, spectra: Recorded, scope: str) -> str:

@@ -18,6 +18,7 @@ from lbacal_core.curves.curves import Anomaly
 from lbacal_core.curves.kept_lines import MemberLines, Owner, join_away, join_members
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
+from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.blocks import SpectraBlock, iterate_blocks
@@ -99,6 +100,20 @@ def require_one_cable_each(spectra: Recorded, instrument: Instrument) -> Cables:
             )
         found[station, antenna] = cables[0]
     return found
+
+
+def unchanged_cables(
+    names: Iterable[tuple[str, int]], first_unix: float, last_unix: float, instrument: Instrument
+) -> Cables:
+    """The cables of those (station, antenna) that have one on record, from the first event to the last, s UTC."""
+    held: dict[tuple[str, int], list[AntennaRecord]] = {name: [] for name in names}
+    for record in instrument.antennas:
+        held.get((record.station, record.antenna), []).append(record)
+    return {
+        name: records[0].cable
+        for name, records in held.items()
+        if len(records) == 1 and all(records[0].covers(edge) for edge in (first_unix, last_unix))
+    }
 
 
 def paths_of_scope(

@@ -242,7 +242,8 @@ class Fits:
             beside = neighbours.beside(piece.since, piece.until)
             with threadpool_limits(1):
                 simulation = self.simulation if own is None else self.simulation.smeared(own)
-                continued = continue_fit(piece.lines, own, simulation, [one for _, one in beside])
+                ends = piece.since / SECOND_US, (piece.until - 1) / SECOND_US
+                continued = continue_fit(piece.lines, own, simulation, [one for _, one in beside], ends)
             for told in piece.told:
                 shift = _find_shift(told, continued)
                 if shift is None and not told.curves:

@@ -280,6 +280,17 @@ def test_who_is_away_in_a_mean_is_as_other_windows_have_it_now(scene, years):
         assert np.max(np.abs(c - curve.c) / sigma) < 0.05
 
 
+@pytest.mark.parametrize("lent", [False, True])
+def test_others_who_are_away_from_a_mean_are_read_from_spectra(scene, years, lent):
+    """A year that was a misfit for a night took an antenna from the others, which never got it back."""
+    without = years[1].select(years[1].antenna != 1)
+    other = beside([fit_calibration(years[0], scene.simulation, "station")], 1)
+    found = fit_calibration(without, scene.simulation, "station", other if lent else ())
+    owners = {curve.path for curve in found.curves}
+    assert continue_fit(found.lines, None, scene.simulation, () if lent else other).undecided == owners
+    assert continue_fit(found.lines, None, scene.simulation, other if lent else ()).curves.keys() == owners
+
+
 @pytest.mark.parametrize(("here", "there"), [("0123", "0123"), ("012", "0123"), ("023", "012"), ("01", "0123")])
 def test_two_means_differ_by_the_noise_of_the_members_that_both_have(here, there):
     """The lines of members are drawn 20,000 times, those of who is away joined, and the means compared."""
