@@ -23,6 +23,7 @@ from lbacal_core.calibration.budget import compute_budget
 from lbacal_core.causes.model import Model
 from lbacal_core.curves.covariance import Budget
 from lbacal_core.curves.validity import Promotion, Scope
+from lbacal_core.drift.events import MODES, EventModes
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.provenance import Remembered
@@ -33,8 +34,12 @@ from lbacal_core.spectra.spectra import Spectra
 from service.app import make_app
 from service.factory import Factory
 from service.scheduler import look_for_due_work
+from service.storage.jobs import Order
+from service.storage.sums import DRIFT, Sums
 from service.usecases import fits
+from service.usecases.drift_measurement import write_events
 from service.usecases.fits import read_fit
+from service.usecases.watch import KIND as WATCH
 from tests.service.conftest import (
     add_spectra,
     flat_spectra,
@@ -54,6 +59,8 @@ WHOLE = 100
 """Rows that PostgreSQL reads rather than the index of a table of one page, whatever is asked of it."""
 EVENTS_OF_ARRAY, OF_A_PATH = 400, 5_000
 """Of a year whose memory is weighed, and bytes that are kept of a path without its spectra: lines and hashes."""
+EVENTS_WATCHED, WATCHED, OF_A_SPECTRUM = 1_000, 6, 60
+"""Of two years of as many antennas of a station, and bytes that the watch holds of a spectrum more."""
 STEPS_AT_ONCE = 10
 MEMORY = "memory of the array's year"
 FREQUENCY_MHZ = [30.0, 40.0, 50.0, 60.0, 70.0, 80.0]
@@ -213,3 +220,31 @@ def test_fifty_stations_cost_ten_times_what_five_do(
     assert weights[1] < MOST_GROWTH * weights[0] + OF_A_PATH * MANY * ANTENNAS * 2, "one station's spectra at a time"
     spare = 0 if kind == "sqlite" else WHOLE
     assert {name: (small[name], large[name]) for name in small if large[name] > MOST_GROWTH * small[name] + spare} == {}
+
+
+def weigh_watch(factory: Factory, stations: int) -> int:
+    """The most memory that the watch of so many stations takes, bytes."""
+    rng, span = np.random.default_rng(stations), (instant("2014-01-01"), instant("2016-01-01"))
+    time_unix = np.linspace(*span, EVENTS_WATCHED, endpoint=False) / 1e6
+    with factory.database.write() as stores:
+        for k in range(stations):
+            ln_c = 0.01 * rng.standard_normal((2, WATCHED, EVENTS_WATCHED, len(MODES)))
+            arrays = write_events(
+                {d: EventModes(np.arange(WATCHED), time_unix, of) for d, of in zip("XY", ln_c, strict=True)}
+            )
+            stores.sums.put(Sums(DRIFT, Scope(f"CS{k:03d}"), *span, "", 0, 0, 0, 0, arrays))
+        stores.jobs.add(Order(WATCH, {}, [{}], "test", "test"), factory.clock())
+    tracemalloc.start()
+    work(factory)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    report = factory.database.look(lambda stores: stores.drift.report()) or {}
+    assert len(report["slopes"]) == 2 * (WATCHED + 1) * stations
+    return most
+
+
+@pytest.mark.long
+def test_the_watch_holds_its_events_and_their_medians_alone(factory: Factory) -> None:
+    """It held all years three times, and everything that it computed of all spectra at once."""
+    few, many = (weigh_watch(factory, stations) for stations in (FEW, MANY))
+    assert many - few < OF_A_SPECTRUM * (MANY - FEW) * 2 * WATCHED * EVENTS_WATCHED
