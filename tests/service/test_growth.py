@@ -30,6 +30,7 @@ from lbacal_core.provenance import Remembered
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.power import compute_sky_power
 from lbacal_core.sky.table import write_sky_power
+from lbacal_core.spectra.screening import LASTING_EVENTS
 from lbacal_core.spectra.spectra import Spectra
 from service.app import make_app
 from service.factory import Factory
@@ -39,6 +40,7 @@ from service.storage.sums import DRIFT, Sums
 from service.usecases import fits
 from service.usecases.drift_measurement import write_events
 from service.usecases.fits import read_fit
+from service.usecases.intake import judge_far
 from service.usecases.watch import KIND as WATCH
 from tests.service.conftest import (
     add_spectra,
@@ -59,6 +61,8 @@ WHOLE = 100
 """Rows that PostgreSQL reads rather than the index of a table of one page, whatever is asked of it."""
 EVENTS_OF_ARRAY, OF_A_PATH = 400, 5_000
 """Of a year whose memory is weighed, and bytes that are kept of a path without its spectra: lines and hashes."""
+BEFORE_THAT = 20
+"""Events for each station that a path has before those that wait."""
 EVENTS_WATCHED, WATCHED, OF_A_SPECTRUM = 1_000, 6, 60
 """Of two years of as many antennas of a station, and bytes that the watch holds of a spectrum more."""
 STEPS_AT_ONCE = 10
@@ -130,6 +134,21 @@ def under_a_sky(spectra: Spectra) -> Spectra:
     return replace(spectra, frequency_mhz=np.array(FREQUENCY_MHZ), power=power)
 
 
+def let_wait(factory: Factory, before: int) -> None:
+    """Spectra of one path that wait, behind others; PostgreSQL looks by itself every minute how large tables are."""
+    rows = [(f"f{k}", 1.41e9 + k, *PATH.values()) for k in range(before + LASTING_EVENTS)]
+    far = np.where(np.arange(len(rows)) < before, np.nan, 30.0)
+    with factory.database.write() as stores:
+        stores.spectra.add(under_a_sky(flat_spectra(*rows)), far)
+    with factory.database.engine.begin() as connection:
+        connection.exec_driver_sql("ANALYZE")
+
+
+def judge(factory: Factory) -> None:
+    with factory.database.write() as stores:
+        assert judge_far(stores) == LASTING_EVENTS
+
+
 def weigh_array(factory: Factory) -> int:
     """The most memory that a fit of the array's year takes, bytes, beside a hundred fits that are remembered."""
     new = replace(factory.fits, simulation=replace(factory.simulation, most_remembered=FEW))
@@ -199,6 +218,8 @@ def work_of(
         found["effective, one path"] = count(ask("/v1/calibrations/effective", at=DATE, **PATH), 1)
         found["life"] = count(ask("/v1/paths/CS001/0/X/life"), 1)
         found["events"] = count(ask("/v1/events"), stations)
+        let_wait(factory, BEFORE_THAT * stations)
+        found["spectra that wait"] = count(lambda: judge(factory), 1)
         ingest(np.linspace(1.42e9, 1.45e9, EVENTS_OF_ARRAY))
         found[MEMORY] = weigh_array(factory)
         return found
