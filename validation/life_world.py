@@ -30,6 +30,7 @@ from lbacal_core.curves.kept_lines import KeptLines, MemberLines, Owner
 from lbacal_core.curves.reference_chain import CableTable, ReferenceChain
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.drift.events import MODES, EventModes
+from lbacal_core.drift.follow import History
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument, parse_instrument
 from lbacal_core.provenance import Provenance
@@ -39,9 +40,7 @@ from lbacal_core.spectra.blocks import split_into_blocks
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_core.spectra.stations import Recorded, SpectraByStation
 from service.storage.changes import Cut, KeptChange
-from service.storage.sums import Sums
 from service.usecases.drift import year_of
-from service.usecases.drift_measurement import read_events
 from service.usecases.fits import SMALLEST_SHIFT, Fits
 from service.usecases.watch import Watch
 
@@ -252,14 +251,9 @@ def _measure(_: Fits, spectra: Spectra, __: Model, curves: Mapping[str, Any]) ->
     return events
 
 
-def _report(_: Watch, years: Sequence[Sums]) -> dict[str, Any]:
-    times = [
-        time
-        for year in years
-        for modes in read_events(year.arrays).values()
-        for k in np.flatnonzero(modes.antennas == STEPPED)
-        for time in modes.time_unix[np.isfinite(modes.ln_c[k, :, 0])].tolist()
-    ]
+def _report(_: Watch, history: History) -> dict[str, Any]:
+    is_measured = np.isfinite(history.ln_c[history.antenna == STEPPED, :, 0]).any(axis=0)
+    times = history.time_unix[is_measured].tolist()
     change = {
         "station": STATION, "members": [
             {"antenna": STEPPED, "dipole": dipole, "size": SIZE, "sigma": 0.001, "significance": 50.0}

@@ -44,12 +44,12 @@ class EventModes:
     time_unix
         Shape (event,), rising.
     ln_c
-        Shape (antenna, event, mode), NaN where nothing was measured.
+        Shape (antenna, event, mode), NaN where nothing was measured; in single precision where it was kept.
     """
 
     antennas: NDArray[np.int64]
     time_unix: Floats
-    ln_c: Floats
+    ln_c: Floats | NDArray[np.float32]
 
 
 def measure_event_modes(
@@ -147,7 +147,7 @@ def average_months(modes: EventModes) -> MonthlyRatios:
     """
     months, starts = find_months(modes.time_unix)
     is_known = np.isfinite(modes.ln_c[..., 0])
-    values = modes.ln_c.copy()
+    values = modes.ln_c.astype(float)
     values[..., 0] = np.exp(-2.0 * values[..., 0])  # the power gain, whose mean is C^-2
     values[~is_known] = 0.0
     events = np.add.reduceat(is_known.astype(np.int64), starts, axis=1)
@@ -195,7 +195,7 @@ def add_events(
     kept
         Those that were measured.
     """
-    antennas, time_unix, ln_c = kept.antennas, kept.time_unix, kept.ln_c
+    antennas, time_unix, ln_c = kept.antennas, kept.time_unix, kept.ln_c.astype(float)
     found = measure_event_modes(new, references, simulation)
     at = np.searchsorted(antennas, found.antennas)
     if found.antennas.size == 0 or at.max() >= antennas.size or np.any(antennas[at] != found.antennas):

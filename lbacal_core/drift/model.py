@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -358,6 +359,13 @@ NOISE_ROUNDS = 4
 """Fits, the first among them, after which the noise is known well enough."""
 SMALLEST_NOISE = 1e-4
 """Noise of one event, in ln C: exact data, or none, keep a finite weight."""
+AT_ONCE = 32
+"""Series that are worked on at once: in single events all others hold their values and medians alone."""
+
+
+def share_out(rows: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """Share rows out into parts of as many series as are worked on at once."""
+    return [rows[first : first + AT_ONCE] for first in range(0, rows.size, AT_ONCE)]
 
 
 @dataclass(frozen=True)
@@ -414,32 +422,37 @@ class SeriesModel:
         self.smooth = smooth_columns(series.time_unix, middle)
         self.smooth_months = np.add.reduceat(self.smooth, self.starts, axis=0)
         self.smooth_months /= np.diff(np.append(self.starts, events))[:, None]
-        level = np.nan_to_num(median_over(series.values, axis=1))
-        self.model = np.repeat(level[:, None, :], events, axis=1)
+        self.y, self.scale = np.zeros((modes, count, len(self.months))), np.ones((modes, count))
+        theta = np.zeros((modes, count, STEPS + dates.shape[1]))
+        theta[:, :, OFFSET] = np.nan_to_num(median_over(series.values, axis=1)).T
+        self.result = Fit(theta, np.zeros((*theta.shape, theta.shape[2])), np.zeros_like(self.y))
+        self.inverse = np.zeros((*self.y.shape, len(self.months)))
+        self.events = np.zeros(self.y.shape[1:])
         self.median = np.zeros((int(series.group.max()) + 1, events, modes), dtype=np.float32)
-        self.common = np.zeros_like(self.series.values)
+        self.common, self.is_known = np.zeros_like(series.values), np.zeros((count, events), dtype=bool)
         self.is_new = np.ones(len(self.median), dtype=bool)
         self.cut = find_threshold(false_alarms, count * len(self.months), modes)
         self.lasting: tuple[Lasting, ...] = ()
-        self.result: Fit
         self.rounds = 0
         self.all = np.arange(count)
 
     def fit(self) -> None:
         """Remove medians, average months, estimate the noise, and fit."""
         for g in np.flatnonzero(self.is_new):
-            members = self.series.group == g
-            self.median[g], self.common[members] = median_of_members(self.series.values[members] - self.model[members])
-        self.rest = self.series.values - self.common
-        self.is_known = np.isfinite(self.rest[..., 0])
-        known = self.is_known[..., None]
-        off = np.where(known, self.rest - self.model, 0.0)
-        self.events = np.add.reduceat(self.is_known.astype(float), self.starts, axis=1)
-        total = np.maximum(self.is_known.sum(axis=1), 1)[:, None]
-        self.scale = np.maximum(np.sqrt(np.sum(off**2, axis=1, dtype=float) / total), SMALLEST_NOISE).T
-        mean = np.add.reduceat(np.where(known, self.rest, 0.0), self.starts, axis=1, dtype=float)
-        mean /= np.maximum(self.events, 1.0)[..., None]
-        self.y = np.moveaxis(mean, -1, 0) / self.scale[..., None]
+            members = np.flatnonzero(self.series.group == g)
+            left = self.series.values[members] - self.predict(members)
+            self.median[g], self.common[members] = median_of_members(left)
+        for some in share_out(self.all):
+            rest = self.series.values[some] - self.common[some]
+            self.is_known[some] = np.isfinite(rest[..., 0])
+            known = self.is_known[some, :, None]
+            off = np.where(known, rest - self.predict(some), 0.0)
+            self.events[some] = np.add.reduceat(self.is_known[some].astype(float), self.starts, axis=1)
+            total = np.maximum(self.is_known[some].sum(axis=1), 1)[:, None]
+            self.scale[:, some] = np.maximum(np.sqrt(np.sum(off**2, axis=1, dtype=float) / total), SMALLEST_NOISE).T
+            mean = np.add.reduceat(np.where(known, rest, 0.0), self.starts, axis=1, dtype=float)
+            mean /= np.maximum(self.events[some], 1.0)[..., None]
+            self.y[:, some] = np.moveaxis(mean, -1, 0) / self.scale[:, some, None]
         if self.rounds < NOISE_ROUNDS:
             self._estimate_noise()
         self.rounds += 1
@@ -447,11 +460,11 @@ class SeriesModel:
 
     def _estimate_noise(self) -> None:
         """Estimate what lasts, from residuals without the best step of each series: a few series may all have one."""
-        columns = self.columns(self.all)
-        plain = invert_covariance(self.events, Lasting(0.0, 1.0), self.months)[None]
-        self.inverse = np.repeat(plain, len(self.y), axis=0)
-        self.result = fit_terms(self.y, self.inverse, columns, self.scale)
-        left = self.y - (columns @ self.result.theta[..., None])[..., 0]
+        self._weigh([Lasting(0.0, 1.0)] * len(self.y))
+        self.fit_terms(self.all)
+        left = np.empty_like(self.y)
+        for some in share_out(self.all):
+            left[:, some] = self.y[:, some] - (self.columns(some) @ self.result.theta[:, some, :, None])[..., 0]
         self.whitener = find_whitener(correlate_modes(left, self.events))
         steps, _ = self.scores(self.all)
         best = np.argmax(steps, axis=1)
@@ -460,7 +473,13 @@ class SeriesModel:
             estimate_lasting(y, self.events, self.smooth_months, scale, self.months, is_step.astype(float))
             for y, scale in zip(left, self.scale, strict=True)
         )
-        self.inverse = np.stack([invert_covariance(self.events, one, self.months) for one in self.lasting])
+        self._weigh(self.lasting)
+
+    def _weigh(self, lasting: Sequence[Lasting]) -> None:
+        """Weigh the months of every series by the process of each mode."""
+        for some in share_out(self.all):
+            inverse = {one: invert_covariance(self.events[some], one, self.months) for one in set(lasting)}
+            self.inverse[:, some] = np.stack([inverse[one] for one in lasting])
 
     def columns(self, rows: NDArray[np.int64]) -> Floats:
         """The columns of some series, shape (series, month, column)."""
@@ -468,29 +487,31 @@ class SeriesModel:
         return month_columns(self.smooth_months, terms, self.series.time_unix, self.is_known[rows], self.starts)
 
     def fit_terms(self, rows: NDArray[np.int64]) -> None:
-        """Fit some series, and keep their results and what their model predicts of every event."""
-        fit = fit_terms(self.y[:, rows], self.inverse[:, rows], self.columns(rows), self.scale[:, rows])
-        if rows.size == self.all.size:
-            self.result = fit
-        else:
+        """Fit some series, and keep their results."""
+        for some in share_out(rows):
+            fit = fit_terms(self.y[:, some], self.inverse[:, some], self.columns(some), self.scale[:, some])
             for name in ("theta", "covariance", "weighted_residual"):
-                getattr(self.result, name)[:, rows] = getattr(fit, name)
-        theta = fit.theta * self.scale[:, rows, None]
-        model = np.moveaxis(theta[:, :, :STEPS] @ self.smooth.T, 0, -1)
-        for j in range(self.terms.dates.shape[1]):
-            used = np.flatnonzero(np.isfinite(self.terms.dates[rows, j]))
-            is_after = self.series.time_unix >= self.terms.dates[rows[used], j, None]
-            model[used] += is_after[..., None] * theta[:, used, STEPS + j].T[:, None, :]
-        self.model[rows] = model
+                getattr(self.result, name)[:, some] = getattr(fit, name)
+
+    def predict(self, rows: NDArray[np.int64]) -> NDArray[np.float32]:
+        """Predict ln C of some series at every event, shape (series, event, mode)."""
+        size, dates = self.result.theta[:, rows] * self.scale[:, rows, None], self.terms.dates[rows]
+        model = np.moveaxis(size[:, :, :STEPS] @ self.smooth.T, 0, -1)
+        for j in range(dates.shape[1]):
+            used = np.flatnonzero(np.isfinite(dates[:, j]))
+            is_after = self.series.time_unix >= dates[used, j, None]
+            model[used] += is_after[..., None] * size[:, used, STEPS + j].T[:, None, :]
+        return model.astype(np.float32, order="C")
 
     def scores(self, rows: NDArray[np.int64]) -> tuple[Floats, Floats]:
         """Chi-square of a step before every month, shape (series, month), and of a slope, shape (series,)."""
-        fit = Fit(self.result.theta[:, rows], self.result.covariance[:, rows], self.result.weighted_residual[:, rows])
-        inverse, columns = self.inverse[:, rows], self.columns(rows)
-        steps = score_steps(inverse, columns, fit, self.whitener)
-        slopes = score_slope(inverse, columns, fit, self.whitener, self.smooth_months[:, SLOPE])
-        steps = np.where(self._may_step(rows), steps, 0.0)
-        return steps, np.where(self.terms.has_slope[rows], 0.0, slopes)
+        steps, slopes = np.zeros(self.events.shape), np.zeros(self.all.size)
+        for some in share_out(rows):
+            of = self.result.theta[:, some], self.result.covariance[:, some], self.result.weighted_residual[:, some]
+            known = self.inverse[:, some], self.columns(some), Fit(*of), self.whitener
+            steps[some] = np.where(self._may_step(some), score_steps(*known), 0.0)
+            slopes[some] = score_slope(*known, self.smooth_months[:, SLOPE])
+        return steps[rows], np.where(self.terms.has_slope[rows], 0.0, slopes[rows])
 
     def _may_step(self, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Where a step is possible: enough events on either side, no other step in the month, and room for it."""
@@ -525,19 +546,19 @@ class SeriesModel:
 
     def put_steps(self, rows: NDArray[np.int64], month: NDArray[np.int64]) -> None:
         """Give series a step before a month each, and date it from events."""
-        if rows.size == 0:
-            return
-        step = np.argmax(np.isinf(self.terms.dates), axis=1)[rows]
-        self._set_dates(rows, step, self.series.time_unix[self.starts[month]])
-        for _ in range(2):
-            self.fit_terms(rows)
-            size = self.result.theta[:, rows, STEPS + step].T
-            near = self.terms.dates[rows, step]
-            is_after = (self.series.time_unix >= near[:, None])[..., None]
-            left = (self.rest[rows] - self.model[rows]) / self.scale.T[rows][:, None, :] + is_after * size[:, None]
-            found = find_dates(self.series.time_unix, left @ self.whitener.T, size @ self.whitener.T, near)
-            self._set_dates(rows, step, found.date)
-            self.errors[:, rows, step] = found.sigma, found.earliest, found.latest
+        for some, before in zip(share_out(rows), share_out(month), strict=True):
+            step = np.argmax(np.isinf(self.terms.dates[some]), axis=1)
+            self._set_dates(some, step, self.series.time_unix[self.starts[before]])
+            for _ in range(2):
+                self.fit_terms(some)
+                size = self.result.theta[:, some, STEPS + step].T
+                near = self.terms.dates[some, step]
+                is_after = (self.series.time_unix >= near[:, None])[..., None]
+                left = self.series.values[some] - self.common[some] - self.predict(some)
+                left = left / self.scale.T[some][:, None, :] + is_after * size[:, None]
+                found = find_dates(self.series.time_unix, left @ self.whitener.T, size @ self.whitener.T, near)
+                self._set_dates(some, step, found.date)
+                self.errors[:, some, step] = found.sigma, found.earliest, found.latest
 
     def _set_dates(self, rows: NDArray[np.int64], step: NDArray[np.int64], dates: Floats) -> None:
         new = self.terms.dates.copy()

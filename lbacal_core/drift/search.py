@@ -32,7 +32,6 @@ from lbacal_core.drift.model import (
     Terms,
     chi_square,
     find_significance,
-    fit_terms,
 )
 from lbacal_core.grids import Floats
 
@@ -268,9 +267,9 @@ class _Search(SeriesModel):
         season_chi2 = chi_square(self.whitener, season, season_sigma**2).sum(axis=1)
         terms, modes = self.terms, len(self.scale)
         self.terms = replace(terms, has_slope=np.ones_like(terms.has_slope))
-        last = fit_terms(self.y, self.inverse, self.columns(self.all), self.scale)
-        variance = last.covariance[:, :, SLOPE, SLOPE]
-        slope_chi2 = chi_square(self.whitener, last.theta[:, :, SLOPE], variance)
+        self.fit_terms(self.all)
+        variance = self.result.covariance[:, :, SLOPE, SLOPE]
+        slope_chi2 = chi_square(self.whitener, self.result.theta[:, :, SLOPE], variance)
         return Found(
             terms=terms,
             events=self.is_known.sum(axis=1),
@@ -280,7 +279,7 @@ class _Search(SeriesModel):
             step_size=size,
             step_size_sigma=size_sigma,
             step_significance=np.where(has_step, find_significance(steps, modes), np.nan),
-            slope=(last.theta[:, :, SLOPE] * self.scale).T,
+            slope=(self.result.theta[:, :, SLOPE] * self.scale).T,
             slope_sigma=(np.sqrt(variance) * self.scale).T,
             slope_significance=find_significance(slope_chi2, modes),
             season=np.moveaxis(season, 0, -1),

@@ -100,11 +100,12 @@ class SumStore(Store):
         return [list(row) for row in self._connection.execute(select(*named).where(is_it).order_by(*named))]
 
     def of_kind(self, kind: str, is_wanted: Any = True) -> Iterator[Sums]:
-        """All blocks of a kind, in order of scope and window."""
+        """All blocks of a kind, in order of scope and window, one at a time."""
         statement = select(sums).where(sums.c.kind == kind, is_wanted).order_by(sums.c.scope, sums.c.since_us)
-        for row in self._connection.execute(statement):
-            with np.load(io.BytesIO(row.arrays), allow_pickle=False) as arrays:
-                yield from_row(Sums, row, scope=parse_scope(row.scope), arrays=dict(arrays))
+        with self._connection.execute(statement, execution_options={"yield_per": 1}) as rows:
+            for row in rows:
+                with np.load(io.BytesIO(row.arrays), allow_pickle=False) as arrays:
+                    yield from_row(Sums, row, scope=parse_scope(row.scope), arrays=dict(arrays))
 
     def digests(self, kind: str) -> list[str]:
         """Hashes of all blocks of a kind that hold something, in order of scope and window."""

@@ -9,7 +9,7 @@ found to have changed has its windows cut there from then on, until the chain al
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -59,25 +59,25 @@ class Watch:
     def run(self, part: Part, worker: str) -> None:
         """Do a part: follow, keep the report, settle the alarms."""
         with self.database.read() as stores:
-            inputs, years = self.name_inputs(stores), list(stores.sums.of_kind(DRIFT))
-        report = self._report(years)
+            inputs = self.name_inputs(stores)
+            history = assemble_history(stores.sums.of_kind(DRIFT), find_hardware_changes(self.instrument))
+        report = self._report(history)
         with self.database.write() as stores:
             now = self.clock()
             stores.drift.keep_report(str(inputs), report, now)
             news = tell_news(report, self.instrument.frequency_mhz, cuts_windows=self.cuts_windows)
             stores.alarms.settle((STEP, SLOPE), list(news), now)
-            settle_changes(stores, report if self.cuts_windows else {"changes": []}, _list_measured(years), now)
+            settle_changes(stores, report if self.cuts_windows else {"changes": []}, _list_measured(history), now)
             stores.jobs.complete(part, worker, {"calibrations": []}, now)
 
-    def _report(self, years: Sequence[Sums]) -> dict[str, Any]:
+    def _report(self, history: History) -> dict[str, Any]:
         from lbacal_core.drift.follow import follow  # with scipy: only workers need it
         from lbacal_core.drift.report import describe_followed
 
-        history = assemble_history(years, find_hardware_changes(self.instrument))
         return drop_noise(describe_followed(history, follow(history), self.instrument.frequency_mhz))
 
 
-def assemble_history(years: Sequence[Sums], changes: Mapping[tuple[str, int], Sequence[float]]) -> History:
+def assemble_history(years: Iterable[Sums], changes: Mapping[tuple[str, int], Sequence[float]]) -> History:
     """Lay what is kept of all years and stations on one axis of events.
 
     Parameters
@@ -110,16 +110,9 @@ Measured = set[tuple[str | None, int, str | None]]
 """Station, antenna and dipole of paths that drift has events of; None for any dipole."""
 
 
-def _list_measured(years: Sequence[Sums]) -> Measured:
-    from service.usecases.drift_measurement import read_events
-
-    return {
-        (one.scope.station, antenna, dipole)
-        for one in years
-        for letter, modes in read_events(one.arrays).items()
-        for antenna in modes.antennas.tolist()
-        for dipole in (letter, None)
-    }
+def _list_measured(history: History) -> Measured:
+    paths = zip(history.station.tolist(), history.antenna.tolist(), history.dipole.tolist(), strict=True)
+    return {(station, antenna, dipole) for station, antenna, letter in paths for dipole in (letter, None)}
 
 
 def settle_changes(stores: Stores, report: Mapping[str, Any], measured: Measured, now: Instant) -> None:

@@ -23,18 +23,25 @@ from lbacal_core.calibration.budget import compute_budget
 from lbacal_core.causes.model import Model
 from lbacal_core.curves.covariance import Budget
 from lbacal_core.curves.validity import Promotion, Scope
+from lbacal_core.drift.events import MODES, EventModes
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.provenance import Remembered
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.power import compute_sky_power
 from lbacal_core.sky.table import write_sky_power
+from lbacal_core.spectra.screening import LASTING_EVENTS
 from lbacal_core.spectra.spectra import Spectra
 from service.app import make_app
 from service.factory import Factory
 from service.scheduler import look_for_due_work
+from service.storage.jobs import Order
+from service.storage.sums import DRIFT, Sums
 from service.usecases import fits
+from service.usecases.drift_measurement import write_events
 from service.usecases.fits import read_fit
+from service.usecases.intake import judge_far
+from service.usecases.watch import KIND as WATCH
 from tests.service.conftest import (
     add_spectra,
     flat_spectra,
@@ -54,6 +61,10 @@ WHOLE = 100
 """Rows that PostgreSQL reads rather than the index of a table of one page, whatever is asked of it."""
 EVENTS_OF_ARRAY, OF_A_PATH = 400, 5_000
 """Of a year whose memory is weighed, and bytes that are kept of a path without its spectra: lines and hashes."""
+BEFORE_THAT = 20
+"""Events for each station that a path has before those that wait."""
+EVENTS_WATCHED, WATCHED, OF_A_SPECTRUM = 1_000, 6, 60
+"""Of two years of as many antennas of a station, and bytes that the watch holds of a spectrum more."""
 STEPS_AT_ONCE = 10
 MEMORY = "memory of the array's year"
 FREQUENCY_MHZ = [30.0, 40.0, 50.0, 60.0, 70.0, 80.0]
@@ -121,6 +132,21 @@ def under_a_sky(spectra: Spectra) -> Spectra:
     scatter = np.random.default_rng(1).normal(1.0, 0.03, (len(spectra), CHANNELS))
     power = (1.0 + 0.3 * np.cos(2 * np.pi * (lst - 18.0) / 24.0))[:, None] * scatter
     return replace(spectra, frequency_mhz=np.array(FREQUENCY_MHZ), power=power)
+
+
+def let_wait(factory: Factory, before: int) -> None:
+    """Spectra of one path that wait, behind others; PostgreSQL looks by itself every minute how large tables are."""
+    rows = [(f"f{k}", 1.41e9 + k, *PATH.values()) for k in range(before + LASTING_EVENTS)]
+    far = np.where(np.arange(len(rows)) < before, np.nan, 30.0)
+    with factory.database.write() as stores:
+        stores.spectra.add(under_a_sky(flat_spectra(*rows)), far)
+    with factory.database.engine.begin() as connection:
+        connection.exec_driver_sql("ANALYZE")
+
+
+def judge(factory: Factory) -> None:
+    with factory.database.write() as stores:
+        assert judge_far(stores) == LASTING_EVENTS
 
 
 def weigh_array(factory: Factory) -> int:
@@ -192,6 +218,8 @@ def work_of(
         found["effective, one path"] = count(ask("/v1/calibrations/effective", at=DATE, **PATH), 1)
         found["life"] = count(ask("/v1/paths/CS001/0/X/life"), 1)
         found["events"] = count(ask("/v1/events"), stations)
+        let_wait(factory, BEFORE_THAT * stations)
+        found["spectra that wait"] = count(lambda: judge(factory), 1)
         ingest(np.linspace(1.42e9, 1.45e9, EVENTS_OF_ARRAY))
         found[MEMORY] = weigh_array(factory)
         return found
@@ -213,3 +241,31 @@ def test_fifty_stations_cost_ten_times_what_five_do(
     assert weights[1] < MOST_GROWTH * weights[0] + OF_A_PATH * MANY * ANTENNAS * 2, "one station's spectra at a time"
     spare = 0 if kind == "sqlite" else WHOLE
     assert {name: (small[name], large[name]) for name in small if large[name] > MOST_GROWTH * small[name] + spare} == {}
+
+
+def weigh_watch(factory: Factory, stations: int) -> int:
+    """The most memory that the watch of so many stations takes, bytes."""
+    rng, span = np.random.default_rng(stations), (instant("2014-01-01"), instant("2016-01-01"))
+    time_unix = np.linspace(*span, EVENTS_WATCHED, endpoint=False) / 1e6
+    with factory.database.write() as stores:
+        for k in range(stations):
+            ln_c = 0.01 * rng.standard_normal((2, WATCHED, EVENTS_WATCHED, len(MODES)))
+            arrays = write_events(
+                {d: EventModes(np.arange(WATCHED), time_unix, of) for d, of in zip("XY", ln_c, strict=True)}
+            )
+            stores.sums.put(Sums(DRIFT, Scope(f"CS{k:03d}"), *span, "", 0, 0, 0, 0, arrays))
+        stores.jobs.add(Order(WATCH, {}, [{}], "test", "test"), factory.clock())
+    tracemalloc.start()
+    work(factory)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    report = factory.database.look(lambda stores: stores.drift.report()) or {}
+    assert len(report["slopes"]) == 2 * (WATCHED + 1) * stations
+    return most
+
+
+@pytest.mark.long
+def test_the_watch_holds_its_events_and_their_medians_alone(factory: Factory) -> None:
+    """It held all years three times, and everything that it computed of all spectra at once."""
+    few, many = (weigh_watch(factory, stations) for stations in (FEW, MANY))
+    assert many - few < OF_A_SPECTRUM * (MANY - FEW) * 2 * WATCHED * EVENTS_WATCHED
