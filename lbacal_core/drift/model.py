@@ -459,7 +459,10 @@ class SeriesModel:
         self.fit_terms(self.all)
 
     def _estimate_noise(self) -> None:
-        """Estimate what lasts, from residuals without the best step of each series: a few series may all have one."""
+        """Estimate what lasts, from residuals without the best step of each series: a few series may all have one.
+
+        A step of one of few moves the medians of the others: at its date they have one, too, and it is no noise.
+        """
         self._weigh([Lasting(0.0, 1.0)] * len(self.y))
         self.fit_terms(self.all)
         left = np.empty_like(self.y)
@@ -467,8 +470,11 @@ class SeriesModel:
             left[:, some] = self.y[:, some] - (self.columns(some) @ self.result.theta[:, some, :, None])[..., 0]
         self.whitener = find_whitener(correlate_modes(left, self.events))
         steps, _ = self.scores(self.all)
-        best = np.argmax(steps, axis=1)
-        is_step = (np.arange(len(self.months)) >= best[:, None]) & (steps[self.all, best] > self.cut)[:, None]
+        score = steps.max(axis=1)
+        most = np.array([np.argmax(np.where(self.series.group == g, score, -1.0)) for g in range(len(self.median))])
+        of = np.where(score > self.cut, self.all, most[self.series.group])
+        best = np.argmax(steps, axis=1)[of]
+        is_step = (np.arange(len(self.months)) >= best[:, None]) & (score[of] > self.cut)[:, None]
         self.lasting = tuple(
             estimate_lasting(y, self.events, self.smooth_months, scale, self.months, is_step.astype(float))
             for y, scale in zip(left, self.scale, strict=True)

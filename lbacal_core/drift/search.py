@@ -48,6 +48,8 @@ medians would be taken without it, and nothing could tell any more who stepped."
 ALIKE = 0.25
 """Share of the best chi-square of a group from which on series count as those that step."""
 MOST_LEAKAGE = 0.9
+MOST_EXPLAINED = 0.99
+"""Share of the variance of single events beyond which a term is told from another by its chi-square alone."""
 
 
 def over_dates(steps: Floats) -> Floats:
@@ -59,6 +61,19 @@ def over_dates(steps: Floats) -> Floats:
         Chi-square of a step before every month, 0 where none is possible, shape (series, month).
     """
     return np.asarray(2.0 * (logsumexp(steps / 2.0, axis=1) - np.log(steps.shape[1])))
+
+
+def free_noise(chi2: Floats, events: NDArray[np.int64]) -> Floats:
+    """Twice the log likelihood ratio of a term that is not in the model yet, with which the noise of events is less.
+
+    Parameters
+    ----------
+    chi2
+        In units of the noise without it.
+    events
+        How many a series has; shapes that broadcast.
+    """
+    return np.asarray(-events * np.log1p(-np.minimum(chi2 / np.maximum(events, 1), MOST_EXPLAINED)))
 
 
 @dataclass(frozen=True)
@@ -169,7 +184,8 @@ class _Search(SeriesModel):
         alike = np.bincount(self.series.group, weights=is_alike, minlength=len(self.median))
         share = np.minimum(self.leakage * alike, MOST_LEAKAGE) ** 2
         is_added = (top > self.cut) & (size >= (share * of_group)[self.series.group])
-        gets_slope = is_added & (slopes >= over_dates(steps))
+        events = self.is_known.sum(axis=1)
+        gets_slope = is_added & (free_noise(slopes, events) >= over_dates(free_noise(steps, events[:, None])))
         self.terms = replace(self.terms, has_slope=self.terms.has_slope | gets_slope)
         rows = np.flatnonzero(is_added & ~gets_slope)
         self.put_steps(rows, best[rows])
