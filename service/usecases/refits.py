@@ -298,20 +298,24 @@ def _confirm(
 ) -> Examined | None:
     """The fit as a confirmation of the version in effect, or of one that answered before; None if it is news.
 
+    Of versions of the same spectra the first near enough answers: the same fit has the same answer whenever it is made.
     Where a decision about a change was taken since, what answered before may be nearer than what is in effect.
     """
-    one = _examine(new, in_effect)
-    is_decided = said is not None and said.changes not in (None, changes)
-    is_other = is_decided or in_effect is None or find_shift(in_effect, new) is None
-    if one is not None and not is_other:
-        return one
     promotions = stores.ledger.of_interval(new.scope, *new.window, MOST_RECALLED)
-    names = [str(p.calibration) for p in promotions if in_effect is None or p.calibration != in_effect.id]
+    names = list(dict.fromkeys(str(p.calibration) for p in promotions))
     if new.id in names:
         return None
     then = stores.versions.get_many(names)
-    alike = [then[name] for name in names if is_other or then[name].inputs["spectra"] == new.inputs["spectra"]]
-    found = [next((again for version in alike if (again := _examine(new, version))), None), one]
+    same = [then[name] for name in reversed(names) if then[name].inputs["spectra"] == new.inputs["spectra"]]
+    one = next((again for version in same if (again := _examine(new, version))), None)
+    if one is not None:
+        return one
+    one = _examine(new, in_effect)
+    is_decided = said is not None and said.changes not in (None, changes)
+    if one is not None and not is_decided:
+        return one
+    is_other = is_decided or in_effect is None or find_shift(in_effect, new) is None
+    found = [next((again for name in names if is_other and (again := _examine(new, then[name]))), None), one]
     return min((again for again in found if again is not None), key=lambda again: again.shift, default=None)
 
 
