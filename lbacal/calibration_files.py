@@ -64,7 +64,8 @@ def holds_curves(path: Path) -> bool:
 def read_calibrations(path: Path) -> dict[str, Any]:
     """Curves, covariances and budgets of a file, as in the JSON answer to "in effect at".
 
-    What a file does not say is None; curves without a C, which fit.json has too, are left out.
+    Its keys are `curves`, `budgets`, `at`, `as_of`. What a file does not say is None; curves without a C, which
+    fit.json has too, are left out.
     """
     kind = path.suffix.lower()
     if kind not in SUFFIXES:

@@ -64,7 +64,7 @@ def take_antenna_gain(
     Parameters
     ----------
     content
-        What an instrument file holds, with or without `antenna_gain`.
+        What an instrument file holds, with or without `antenna_gain`; `place` is its name for messages.
     antenna
         File of Jones terms in V per V/m.
     source

@@ -50,7 +50,7 @@ class Line:
     kind: str = ""
 
     def as_dict(self) -> dict[str, Any]:
-        """Describe the line as JSON values."""
+        """Describe the line as JSON values, all but `kind` under their names here."""
         return {
             "check": self.check,
             "verdict": self.verdict,

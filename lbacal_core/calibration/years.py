@@ -293,7 +293,10 @@ class Lent:
     def insert_into(
         self, at: NDArray[np.intp], alone: SeparableSolution, is_free: Booleans
     ) -> tuple[NDArray[np.intp], tuple[SeparableSolution, Booleans]]:
-        """Insert small paths among the fitted ones; returns also the solution and free intercepts of all."""
+        """Insert small paths among the fitted ones; returns all paths in order, their solution and free intercepts.
+
+        `at` and `is_free` are those of the fitted paths, shapes (path,) and (path, freq).
+        """
         both = np.concatenate([at, self.at])
         order = np.argsort(both)
         free = np.concatenate([is_free, np.zeros(self.lines.slope.shape, dtype=bool)])
@@ -304,6 +307,8 @@ def lend(
     beside: Sequence[Beside], is_small: NDArray[np.bool_], paths: Paths, sky: Floats, loss: Floats, terms: Intercepts
 ) -> Lent | None:
     """Take noise levels and chain from the nearest window that has its own, if one has, for paths with too few events.
+
+    None where no window has any.
 
     Parameters
     ----------

@@ -30,7 +30,7 @@ class TemperatureCause(Cause):
         return (TEMPERATURE,)
 
     def time_profile(self, conditions: Conditions, template: Template) -> Floats:
-        """Temperature about its mean, per 10 K."""
+        """Temperature about its mean, per 10 K, shape (event, 1)."""
         return conditions.warmth(template.parameters.get("delay_h", 0.0))
 
 
@@ -46,7 +46,7 @@ class StepCause(Cause):
         return [step_template(instant) for instant in conditions.step_dates()]
 
     def time_profile(self, conditions: Conditions, template: Template) -> Floats:
-        """0 before the date and 1 from it on."""
+        """0 before the date and 1 from it on, shape (event, 1)."""
         return conditions.after(template.parameters["date_unix"])
 
     def finer_templates(self, conditions: Conditions, template: Template) -> list[Template]:
@@ -184,7 +184,7 @@ class GainDrift(Cause):
     scopes: Sequence[str] = SCOPES
 
     def time_profile(self, conditions: Conditions, template: Template) -> Floats:  # noqa: ARG002
-        """Years since the middle of the data."""
+        """Years since the mean instant of the data, shape (event, 1)."""
         return np.asarray((conditions.time_unix - conditions.time_unix.mean())[:, None] / YEAR_S)
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002

@@ -103,7 +103,7 @@ class ResonanceCause(Cause):
         ]
 
     def time_profile(self, conditions: Conditions, template: Template) -> Floats:
-        """What is followed."""
+        """The season, temperature about its mean, or rain, as ``follows`` of the template says, shape (event, 1)."""
         kind = template.parameters["follows"]
         if kind == "season":
             return conditions.season(template.parameters["phase_deg"])
@@ -124,7 +124,7 @@ class ResonanceCause(Cause):
         raise NotImplementedError
 
     def of_circuit(self, conditions: Conditions, amount: Floats) -> Floats:
-        """As `of_curve` to first order, from the circuit of dipole and LNA."""
+        """As `of_curve` to first order, from the circuit of dipole and LNA, shape of `amount` with freq."""
         raise NotImplementedError
 
 
@@ -140,11 +140,14 @@ class ResonanceShift(ResonanceCause):
     step: float = 0.01
 
     def of_curve(self, frequency_mhz: Floats, log_gain: Floats, amount: Floats) -> Floats:
-        """G_ant read at nu - shift."""
+        """Change of ln G_ant read at nu - `amount`, MHz, shape (..., freq) for an amount of shape (..., 1)."""
         return read_between(frequency_mhz, log_gain, frequency_mhz - amount) - log_gain
 
     def of_circuit(self, conditions: Conditions, amount: Floats) -> Floats:
-        """Longer arms, whose resonance is lower, by the place of the half-power points."""
+        """Change of ln G_ant by the length of the arms, shape (..., freq).
+
+        `amount` is the shift of the half-power points, MHz.
+        """
         longer, shorter = (replace(CIRCUIT, arm_m=CIRCUIT.arm_m * factor) for factor in (1.001, 0.999))
         change = np.log(longer.gain(conditions.frequency_mhz) / shorter.gain(conditions.frequency_mhz))
         return np.asarray(amount * change / (np.mean(_half_power_mhz(longer)) - np.mean(_half_power_mhz(shorter))))
@@ -162,13 +165,16 @@ class ResonanceWidth(ResonanceCause):
     step: float = 0.002
 
     def of_curve(self, frequency_mhz: Floats, log_gain: Floats, amount: Floats) -> Floats:
-        """G_ant read closer to its resonance: the peak keeps its height and widens."""
+        """Change of ln G_ant read closer to its resonance, shape (..., freq): the peak widens by exp(`amount`)."""
         centre = frequency_mhz[np.argmax(log_gain)]
         closer = centre + (frequency_mhz - centre) * np.exp(-amount)
         return read_between(frequency_mhz, log_gain, closer) - log_gain
 
     def of_circuit(self, conditions: Conditions, amount: Floats) -> Floats:
-        """More resistance in the dipole, by the width between the half-power points."""
+        """Change of ln G_ant by resistance in the dipole, shape (..., freq).
+
+        `amount` is ln of the width at half power.
+        """
         more, less = (replace(CIRCUIT, resistance_ohm=CIRCUIT.resistance_ohm * factor) for factor in (1.001, 0.999))
         change = np.log(more.gain(conditions.frequency_mhz) / less.gain(conditions.frequency_mhz))
         return np.asarray(amount * change / np.log(np.ptp(_half_power_mhz(more)) / np.ptp(_half_power_mhz(less))))

@@ -224,6 +224,8 @@ def read_term(conditions: Conditions, parameters: Mapping[str, Any]) -> Floats:
 def describe_term(conditions: Conditions, axis: str, coefficients: Mapping[str, Floats]) -> dict[str, Any] | None:
     """The parameters of a term along an axis of these data; None along the date, where nothing recurs.
 
+    They are `axis`, `by_polarisation`, and for a covariate `column` and `range`.
+
     Parameters
     ----------
     coefficients

@@ -52,7 +52,7 @@ class FilterShift(Cause):
         return () if "date_unix" in template.parameters else (TEMPERATURE,)
 
     def time_profile(self, conditions: Conditions, template: Template) -> Floats:
-        """Temperature, or 1 after the date."""
+        """Temperature about its mean, per 10 K, or 1 from the date on where the template has one, shape (event, 1)."""
         if "date_unix" in template.parameters:
             return conditions.after(template.parameters["date_unix"])
         return conditions.warmth()

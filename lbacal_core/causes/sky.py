@@ -285,7 +285,7 @@ class IonosphericAbsorption(Cause):
         return self.templates(conditions)
 
     def time_profile(self, conditions: Conditions, template: Template) -> Floats:
-        """(cos chi)^n by day, 0 by night."""
+        """(cos chi)^n by day, 0 by night, shape (event, 1)."""
         cos_chi = np.maximum(np.sin(conditions.sun_altitude), 0.0)
         return np.asarray((cos_chi ** template.parameters["exponent"])[:, None])
 
@@ -310,7 +310,7 @@ class InterferenceCause(Cause):
     axes: Sequence[str] = ("utc",)
 
     def time_profile(self, conditions: Conditions, template: Template) -> Floats:
-        """1 within the hours."""
+        """1 within the hours of the template, else 0, shape (event, 1)."""
         return conditions.in_hours(*template.parameters["utc_h"])
 
     def finer_templates(self, conditions: Conditions, template: Template) -> list[Template]:  # noqa: ARG002
@@ -355,7 +355,7 @@ class RfiLine(InterferenceCause):
         return bool(distance > CLEAR_MHZ)
 
     def factor(self, conditions: Conditions, template: Template) -> Floats:
-        """The form of the line, 1 in its strongest channel."""
+        """The form of the line, 1 in its strongest channel, shape (freq,)."""
         distance = conditions.frequency_mhz - template.parameters["frequency_mhz"]
         line = np.exp(-4 * np.log(2.0) * (distance / template.parameters["width_mhz"]) ** 2)
         return np.asarray(line / line.max())

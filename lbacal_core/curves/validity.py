@@ -100,7 +100,7 @@ class Stretch:
 
     @property
     def calibration(self) -> str | None:
-        """The version that answers, if any."""
+        """Hash of the version that answers; None where none does."""
         return self.promotion.calibration if self.promotion else None
 
 

@@ -55,7 +55,7 @@ class Kinds:
 
     @property
     def members(self) -> list[NDArray[np.int64]]:
-        """Events of each kind."""
+        """Numbers of the events of each kind, shape (event of the kind,)."""
         return [np.flatnonzero(self.of_event == kind) for kind in range(int(self.of_event.max()) + 1)]
 
     def beside_rain(self, amount: Floats) -> Floats:

@@ -164,7 +164,7 @@ def correlate(model: LinearModel, families: Sequence[SpectralFamily], target: Ta
 def overlap(
     model: LinearModel, cause: Cause, template: Template, target: Target, others: Sequence[SpectralFamily]
 ) -> list[Floats]:
-    """Correlations of one template with all templates of each of some families, as in `correlate`.
+    """Correlations of one template with all of each of some families, as in `correlate`, shape (template,) each.
 
     They are scores: the one template stands in the place of the residuals.
     """

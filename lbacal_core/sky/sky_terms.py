@@ -65,7 +65,10 @@ def mean_temperature(sky: SkyModel, antenna: AntennaModel, frequency_mhz: Floats
 
 
 def extended_temperature(sky: SkyModel, frequency_mhz: Floats) -> Any:
-    """Multipoles of the brightness; above the range of the model a power law with the index at its end."""
+    """Multipoles of the brightness, shape (freq, l, m), K.
+
+    Above the range of the model a power law with the index at its end.
+    """
     low, end = sky.frequency_mhz[-2:]
     inside = sky.temperature(np.minimum(frequency_mhz, end))
     first, last = sky.temperature(np.array([low, end]))[:, 0, 0].real

@@ -191,7 +191,7 @@ class Spectra:
         return len(self.event_id)
 
     def select(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> Spectra:
-        """The spectra of some rows, in that order."""
+        """The spectra of some rows, given by their numbers, in that order, or by a mask of shape (row,)."""
         return Spectra(
             self.frequency_mhz,
             self.power[rows],

@@ -291,7 +291,7 @@ class JobStore(Store):
         return int(self._connection.execute(statement).scalar_one())
 
     def is_open(self, kind: str) -> bool:
-        """Whether a part of some kind of job waits or runs."""
+        """Whether a part of some kind of job (``refit``, ``investigation``, ``watch`` …) waits or runs."""
         statement = select(job_part.c.id).join(job, job.c.id == job_part.c.job).where(job.c.kind == kind)
         return self._connection.execute(statement.where(job_part.c.state.in_(OPEN)).limit(1)).first() is not None
 

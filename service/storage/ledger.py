@@ -265,7 +265,8 @@ class LedgerStore(Store):
     ) -> dict[Scope, Neighbours]:
         """The nearest promotions before and after an instant at which nothing answers, in two queries.
 
-        Any of its scopes may answer for a path: its neighbour is the nearest of theirs, the first of equally near.
+        None where there is none. Any of its scopes may answer for a path: its neighbour is the nearest of theirs, the
+        first of equally near.
         """
         edges = self._edges({scope.key for scopes in scopes_of.values() for scope in scopes}, instant, as_of)
         last: dict[Scope, tuple[Instant, Scope]] = {}

@@ -341,7 +341,7 @@ class SpectraStore(Store):
         return Arrivals(self._connection)
 
     def add(self, spectra: Spectra, far: Floats | None = None) -> int:
-        """Store what is new and return its count; see `Arrivals.add`."""
+        """Store what is new and return the count of its spectra; `far` as in `Arrivals.add`."""
         return self.arrivals.add(spectra, far)
 
     def load(

@@ -213,7 +213,8 @@ class MeanC:
 def mean_over_band(curve: CalibrationCurve) -> tuple[float, float] | None:
     """Mean of C over the channels; its error is the median relative one, because the errors of channels move together.
 
-    A channel without a value counts as those beside it do, so that means over a band with and without it compare.
+    V per ADC unit, both; None for a curve without C. A channel without a value counts as those beside it do, so that
+    means over a band with and without it compare.
     """
     if curve.c is None or curve.c_sigma_stat is None:
         return None
@@ -409,7 +410,7 @@ class BudgetStore(Store):
         add_rows(self._connection, budget, rows)
 
     def get(self, digest: str) -> dict[str, Any]:
-        """Get one budget as JSON values."""
+        """Get one budget as JSON values; `NotFoundError` for an unknown hash."""
         found = self.get_many([digest])
         if not found:
             raise NotFoundError(f"no budget {digest!r}; a curve names its own in covariance.systematic.budget")

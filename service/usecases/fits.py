@@ -210,7 +210,7 @@ class Fits:
         return found
 
     def name_simulation(self, since: Instant, until: Instant, of: Scope) -> dict[str, Any]:
-        """All inputs of a window but spectra, cuts and causes."""
+        """Inputs of a window but spectra, cuts and causes: `instrument`, `sky_power`, `own_sky`, `model_version`."""
         simulation = self.simulation
         return {
             "instrument": simulation.instrument.digest_of(since / SECOND_US, until / SECOND_US, of.station, of.antenna),
