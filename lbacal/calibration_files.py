@@ -33,7 +33,7 @@ _KINDS: dict[type, Kind] = {float: NUMBERS, int: INTEGERS, str: STRINGS}
 
 
 def require_format(option: str, path: Path) -> str:
-    """The format that the end of a name says; what is no file, such as /dev/stdout, gets a table."""
+    """The format that the end of a name says, one of `FORMATS`; what is no file, such as /dev/stdout, gets ecsv."""
     if path.exists() and not path.is_file():
         return "ecsv"
     if path.suffix.lower() not in FORMATS:

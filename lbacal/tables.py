@@ -66,7 +66,7 @@ COLUMNS = {
 
 
 def write_format(name: str, answer: dict[str, Any]) -> bytes:
-    """Write an answer to "in effect at" in one of the formats other than JSON."""
+    """Write an answer to "in effect at" in a format other than JSON: csv, ecsv, fits, hdf5 or nuradio."""
     writers = {"csv": write_csv, "ecsv": write_ecsv, "fits": write_fits, "hdf5": write_hdf5, "nuradio": write_nuradio}
     return writers[name](answer)
 

@@ -54,7 +54,7 @@ class StepCause(Cause):
         return [step_template(instant) for instant in conditions.dates_about(template.parameters["date_unix"])]
 
     def is_another(self, template: Template, earlier: Template) -> bool:
-        """Another date."""
+        """Whether the dates differ."""
         return bool(template.parameters["date_unix"] != earlier.parameters["date_unix"])
 
 
@@ -69,7 +69,7 @@ class LnaNoiseSlope(Cause):
     sizes: SizeRange = SizeRange(-1.0, 1.0)
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
-        """N_LNA with a slope about 55 MHz."""
+        """N_LNA times 1 + amount (nu - 55 MHz) / 25 MHz."""
         return replace(terms, n_lna=terms.n_lna * (1.0 + amount * (conditions.frequency_mhz - 55.0) / 25.0))
 
 
@@ -101,7 +101,7 @@ class MissingNoise(Cause):
         return SizeRange(-float(template.parameters["known_noise"]), 10.0)
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
-        """N_LNA plus noise that is flat in frequency."""
+        """N_LNA plus the amount, in the unit of P_sky, at all frequencies alike."""
         return replace(terms, n_lna=terms.n_lna + amount)
 
     def scale(self, terms: ChainTerms) -> float:
@@ -110,7 +110,7 @@ class MissingNoise(Cause):
         return float(np.average(sky, weights=np.broadcast_to(terms.front.mean(axis=1), sky.shape)))
 
     def kinds(self, template: Template) -> frozenset[str]:  # noqa: ARG002
-        """What an isotropic level does to the power of a band."""
+        """The kind of an isotropic level, which does the same to the power of a band."""
         return frozenset({"isotropic_level"})
 
 

@@ -50,7 +50,7 @@ class DipoleSwap(Cause):
         return [Template()] * len(pairs) if len(pairs) < 2 else [Template({"between": " ".join(p)}) for p in pairs]
 
     def is_another(self, template: Template, earlier: Template) -> bool:
-        """Another pair."""
+        """Whether the pairs differ."""
         return template.parameters != earlier.parameters
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:
@@ -85,7 +85,7 @@ class ResonanceCause(Cause):
         return [Template(one | {"model": model}) for model in ("curve", "circuit") for one in followed]
 
     def covariates(self, template: Template) -> Sequence[str]:
-        """What is followed."""
+        """The column that is followed; none of the season."""
         return {"temperature": (TEMPERATURE,), "wetness": (RAIN,), "season": ()}[template.parameters["follows"]]
 
     def finer_templates(self, conditions: Conditions, template: Template) -> list[Template]:
@@ -112,7 +112,7 @@ class ResonanceCause(Cause):
         return conditions.wetness(template.parameters["wetness"])
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:
-        """Another G_ant in front."""
+        """G_ant changed by the amount as `of_circuit` or `of_curve` says, by the ``model`` of the template."""
         if template.parameters["model"] == "circuit":
             change = self.of_circuit(conditions, amount)
         else:

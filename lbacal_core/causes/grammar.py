@@ -629,7 +629,7 @@ class Sentence(Cause):
         return in_words(template)
 
     def is_another(self, template: Template, earlier: Template) -> bool:
-        """Any other sentence."""
+        """Whether the sentences differ."""
         return parts_of(template) != parts_of(earlier)
 
     def spectral_key(self, template: Template) -> tuple[Any, ...]:

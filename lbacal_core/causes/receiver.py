@@ -64,7 +64,7 @@ class FilterShift(Cause):
         return [step_template(instant) for instant in conditions.dates_about(template.parameters["date_unix"])]
 
     def is_another(self, template: Template, earlier: Template) -> bool:
-        """Another date."""
+        """Whether the dates differ, or one follows temperature alone."""
         return bool(template.parameters.get("date_unix") != earlier.parameters.get("date_unix"))
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002

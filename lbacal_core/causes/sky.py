@@ -148,7 +148,7 @@ class LstOffset(Cause):
     sizes: SizeRange = SizeRange(-3.0, 3.0)
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
-        """P_sky at a later LST."""
+        """P_sky read later in LST by the amount, hours."""
         return replace(terms, sky=conditions.later(terms.sky, np.ravel(amount)))
 
 
@@ -211,11 +211,11 @@ class PointSource(Cause):
         return [Template({"source": name}) for name in SOURCE_KEYS if name in conditions.sky_ratio]
 
     def is_another(self, template: Template, earlier: Template) -> bool:
-        """Another source."""
+        """Whether the sources differ."""
         return bool(template.parameters["source"] != earlier.parameters["source"])
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:
-        """P_sky plus a fraction of the source's flux through D."""
+        """P_sky plus the amount, a fraction of the source's flux through D."""
         return replace(terms, sky=terms.sky * conditions.sky_ratio[template.parameters["source"]](amount))
 
 
@@ -230,7 +230,7 @@ class IsotropicLevel(Cause):
     sizes: SizeRange = SizeRange(-0.5, 10.0)
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
-        """P_sky plus a constant in LST."""
+        """P_sky plus the amount times its mean over LST at each frequency."""
         return replace(terms, sky=terms.sky + amount * conditions.mean_sky[:, None, :])
 
 
@@ -254,11 +254,11 @@ class SolarEmission(Cause):
         return [Template({"spectral_index": index}) for index in (1.0, 1.5, 2.0)]
 
     def finer_templates(self, conditions: Conditions, template: Template) -> list[Template]:  # noqa: ARG002
-        """All of them."""
+        """All spectral indices, as `templates`."""
         return self.templates(conditions)
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:
-        """P_sky plus the Sun through D."""
+        """P_sky plus the Sun through D: the amount is over the mean P_sky at 55 MHz."""
         ratio = conditions.frequency_mhz / 55.0
         flux = conditions.sky_at_55[:, None, None] * ratio ** template.parameters["spectral_index"]
         return replace(terms, sky=terms.sky + amount * flux * conditions.sun_response)
@@ -281,7 +281,7 @@ class IonosphericAbsorption(Cause):
         return [Template({"exponent": n}) for n in (0.5, 0.75, 1.0)] if conditions.has_day_and_night else []
 
     def finer_templates(self, conditions: Conditions, template: Template) -> list[Template]:  # noqa: ARG002
-        """All of them."""
+        """All exponents, as `templates`."""
         return self.templates(conditions)
 
     def time_profile(self, conditions: Conditions, template: Template) -> Floats:
@@ -290,7 +290,7 @@ class IonosphericAbsorption(Cause):
         return np.asarray((cos_chi ** template.parameters["exponent"])[:, None])
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
-        """P_sky dimmed."""
+        """P_sky times exp(-amount (30 MHz / nu)^2)."""
         return replace(terms, sky=terms.sky * np.exp(-amount * (30.0 / conditions.frequency_mhz) ** 2))
 
 
@@ -350,7 +350,7 @@ class RfiLine(InterferenceCause):
         ]
 
     def is_another(self, template: Template, earlier: Template) -> bool:
-        """Another line, clear of the first."""
+        """Whether it is a line that is clear of the first."""
         distance = abs(template.parameters["frequency_mhz"] - earlier.parameters["frequency_mhz"])
         return bool(distance > CLEAR_MHZ)
 
@@ -365,12 +365,15 @@ class RfiLine(InterferenceCause):
         return Template({**template.parameters, "width_mhz": np.inf})
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:
-        """Power added about a frequency, a Gaussian of the template's full width at half maximum."""
+        """Power added about a frequency, a Gaussian of the template's full width at half maximum.
+
+        The amount is over the mean power in the strongest channel.
+        """
         mean = terms.power().mean(axis=1, keepdims=True)
         return replace(terms, adc_noise=terms.adc_noise + amount * self.factor(conditions, template) * mean)
 
     def what_about(self, template: Template) -> list[dict[str, float]]:
-        """Between the channels, and other widths."""
+        """Frequencies between the channels, and other widths, MHz."""
         centre = template.parameters["frequency_mhz"]
         moved = [centre + 0.25 * k for k in range(-2, 3)]
         return [{"frequency_mhz": at, "width_mhz": width} for at in moved for width in (0.5, 1.0, 1.5, 2.0)]
@@ -401,7 +404,7 @@ class RfiBroadband(InterferenceCause):
         return replace(terms, sky=terms.sky + amount * added)
 
     def what_about(self, template: Template) -> list[dict[str, float]]:  # noqa: ARG002
-        """All indices, by halves."""
+        """All spectral indices from 0 to -4, by halves."""
         return [{"spectral_index": -0.5 * k} for k in range(9)]
 
 

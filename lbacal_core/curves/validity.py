@@ -63,7 +63,7 @@ class Scope:
 
 
 def parse_scope(key: str) -> Scope:
-    """Parse a `Scope.key`."""
+    """Parse a `Scope.key`, such as ``CS002/17/X``."""
     station, antenna, dipole = [*key.split("/"), None, None][:3]
     return Scope(None if station == Scope().key else station, None if antenna is None else int(antenna), dipole)
 

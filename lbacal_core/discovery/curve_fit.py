@@ -148,7 +148,7 @@ class CurveStation:
         return bool(bent <= SMALLEST_BEND * np.sum(change**2))
 
     def terms_with(self, choices: Sequence[Choice], sizes: Floats, noise: float) -> ChainTerms:
-        """The chain with noise over mean sky power, and causes at sizes, one after the other."""
+        """The chain with noise over mean sky power, and causes at sizes, shape (choice,), one after the other."""
         own = self.terms
         terms = replace(
             own, n_lna=noise * own.n_lna, receiver_noise=noise * own.receiver_noise, adc_noise=noise * own.adc_noise

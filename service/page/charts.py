@@ -157,7 +157,7 @@ def draw_changes(changes: Sequence[KeptChange], span: Span, ends: Sequence[Insta
 
 
 def draw_counts(counts: dict[str, tuple[int, str]]) -> Chart:
-    """How much of each kind waits; name to number and address."""
+    """How much of each kind waits; by its name the number, and the address of the page with them."""
     titles = [f"{number} {name}" for name, (number, _) in counts.items()]
     numbers = [number for number, _ in counts.values()]
     bars = Series(BARS, numbers, range(len(counts)), colour=SKY, titles=titles, links=[to for _, to in counts.values()])
@@ -311,7 +311,7 @@ def draw_environment(
 
 
 def find_days(life: Life, drift: DriftSeries, span: Span) -> tuple[float, float]:
-    """The days that are shown: the span, where it is open those of the data."""
+    """First and last instant that are shown, s UTC: the span, where it is open those of the data."""
     known = [month.month / SECOND_US for month in drift.months] + [
         at / SECOND_US for one in life.versions for at in one.window
     ]

@@ -262,7 +262,7 @@ class JobStore(Store):
         return self._connection.execute(update(job_part).where(is_outdated).values(values)).rowcount
 
     def get(self, number: int) -> Job:
-        """Get one job by its number."""
+        """Get one job by its number; `NotFoundError` for an unknown one."""
         found = self._with_parts([number])
         if not found:
             raise NotFoundError(f"no job {number}; GET /v1/jobs lists them")

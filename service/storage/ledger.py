@@ -251,7 +251,7 @@ class LedgerStore(Store):
         return {(made.scope, row.instant): made for row in rows for made in [_value(row)]}
 
     def latest(self, scopes: Iterable[Scope]) -> dict[Scope, Promotion]:
-        """The version in effect at the begin of the last interval of each scope, by the present ledger."""
+        """The promotion in effect at the begin of the last interval of each scope that has one, as it stands now."""
         of_key = {scope.key: scope for scope in scopes}
         keys = self._keys(of_key)
         statement = select(standing.c.scope, func.max(standing.c.valid_from_us)).group_by(standing.c.scope)

@@ -280,7 +280,7 @@ class VersionStore(Store):
         return None if row is None else from_row(Examined, row, scope=parse_scope(row.scope))
 
     def get(self, version_id: str) -> Version:
-        """One version by its id, or by as many of its first digits as no other begins with."""
+        """One version by its id, or by as many first digits as no other has; `NotFoundError` for an unknown one."""
         found = self.get_many([complete_id(self._connection, calibration.c.id, version_id, "version")])
         if not found:
             raise NotFoundError(f"no calibration {version_id!r}; GET /v1/calibrations lists them")
