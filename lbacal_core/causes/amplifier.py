@@ -69,7 +69,10 @@ class LnaNoiseSlope(Cause):
     sizes: SizeRange = SizeRange(-1.0, 1.0)
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
-        """N_LNA times 1 + amount (nu - 55 MHz) / 25 MHz."""
+        """N_LNA with a slope about 55 MHz.
+
+        It is multiplied by 1 + amount (nu - 55 MHz) / 25 MHz.
+        """
         return replace(terms, n_lna=terms.n_lna * (1.0 + amount * (conditions.frequency_mhz - 55.0) / 25.0))
 
 
@@ -101,7 +104,10 @@ class MissingNoise(Cause):
         return SizeRange(-float(template.parameters["known_noise"]), 10.0)
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
-        """N_LNA plus the amount, in the unit of P_sky, at all frequencies alike."""
+        """N_LNA plus noise that is flat in frequency.
+
+        The amount is in the unit of P_sky.
+        """
         return replace(terms, n_lna=terms.n_lna + amount)
 
     def scale(self, terms: ChainTerms) -> float:

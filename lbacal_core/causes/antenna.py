@@ -112,7 +112,10 @@ class ResonanceCause(Cause):
         return conditions.wetness(template.parameters["wetness"])
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:
-        """G_ant changed by the amount as `of_circuit` or `of_curve` says, by the ``model`` of the template."""
+        """Another G_ant in front.
+
+        It is changed by the amount as `of_circuit` or `of_curve` says, by the ``model`` of the template.
+        """
         if template.parameters["model"] == "circuit":
             change = self.of_circuit(conditions, amount)
         else:

@@ -148,7 +148,10 @@ class LstOffset(Cause):
     sizes: SizeRange = SizeRange(-3.0, 3.0)
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
-        """P_sky read later in LST by the amount, hours."""
+        """P_sky at a later LST.
+
+        The amount is in hours.
+        """
         return replace(terms, sky=conditions.later(terms.sky, np.ravel(amount)))
 
 
@@ -215,7 +218,10 @@ class PointSource(Cause):
         return bool(template.parameters["source"] != earlier.parameters["source"])
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:
-        """P_sky plus the amount, a fraction of the source's flux through D."""
+        """P_sky plus a fraction of the source's flux through D.
+
+        The amount is that fraction.
+        """
         return replace(terms, sky=terms.sky * conditions.sky_ratio[template.parameters["source"]](amount))
 
 
@@ -230,7 +236,10 @@ class IsotropicLevel(Cause):
     sizes: SizeRange = SizeRange(-0.5, 10.0)
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
-        """P_sky plus the amount times its mean over LST at each frequency."""
+        """P_sky plus a constant in LST.
+
+        The amount is a fraction of the mean P_sky at each frequency.
+        """
         return replace(terms, sky=terms.sky + amount * conditions.mean_sky[:, None, :])
 
 
@@ -258,7 +267,10 @@ class SolarEmission(Cause):
         return self.templates(conditions)
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:
-        """P_sky plus the Sun through D: the amount is over the mean P_sky at 55 MHz."""
+        """P_sky plus the Sun through D.
+
+        The amount is over the mean P_sky at 55 MHz, for the Sun overhead.
+        """
         ratio = conditions.frequency_mhz / 55.0
         flux = conditions.sky_at_55[:, None, None] * ratio ** template.parameters["spectral_index"]
         return replace(terms, sky=terms.sky + amount * flux * conditions.sun_response)
@@ -290,7 +302,10 @@ class IonosphericAbsorption(Cause):
         return np.asarray((cos_chi ** template.parameters["exponent"])[:, None])
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
-        """P_sky times exp(-amount (30 MHz / nu)^2)."""
+        """P_sky dimmed.
+
+        It is multiplied by exp(-amount (30 MHz / nu)^2).
+        """
         return replace(terms, sky=terms.sky * np.exp(-amount * (30.0 / conditions.frequency_mhz) ** 2))
 
 
