@@ -25,7 +25,7 @@ TOTAL, STATISTICAL = "total error", "statistical (dark)"
 
 
 def draw_curves(title: str, curves: Sequence[CalibrationCurve], beside: Mapping[str, Any] | None = None) -> Chart:
-    """C of some curves with the statistical error (dark) and the total (light); beside it others, name to (mhz, C)."""
+    """C of some curves with the statistical error (dark) and the total (light); beside it others, name to (MHz, C)."""
     fitted = [curve for curve in curves if curve.c is not None]
     series: list[Series] = []
     for k, curve in enumerate(fitted):
@@ -123,13 +123,19 @@ def draw_noise(mhz: Floats, terms: Mapping[str, Floats], title: str, unit: str =
 
 
 def limit_residuals(maps: Iterable[Floats]) -> float:
-    """Upper end of the colours, per cent, for maps of relative residuals of any shape: it holds 99 % of the points."""
+    """Upper end of the colours, per cent, for maps of relative residuals of any shape: it holds 99 % of the points.
+
+    NaN counts nowhere; it is `SMALLEST_LIMIT` at least.
+    """
     known = np.concatenate([np.zeros(0), *(np.abs(one[np.isfinite(one)]) for one in maps)])
     return max(PERCENT * float(np.percentile(known, 99)) if known.size else 0.0, SMALLEST_LIMIT)
 
 
 def draw_residuals(title: str, mhz: Floats, values: Floats, limit: float) -> Chart:
-    """Measured over predicted power minus 1 against LST and frequency, shape (lst, freq)."""
+    """Measured over predicted power minus 1, a fraction, against LST and frequency, shape (lst, freq).
+
+    `limit` is the upper end of the colours, per cent (`limit_residuals`).
+    """
     extent = float(mhz[0]) - 0.5, float(mhz[-1]) + 0.5
     image = Series(IMAGE, extent, (0.0, 24.0), name="%", image=PERCENT * values, limit=limit)
     return Chart(title, FREQUENCY, "local sidereal time (h)", [image], y_limits=(0.0, 24.0))

@@ -25,7 +25,8 @@ class Line:
     station, antennas, dipole
         The path or paths; no antennas for the whole station, None for both polarisations.
     log_odds
-        Natural logarithm of the odds for the answer against the claim on record; None where nothing was compared.
+        Natural logarithm of the odds against the claim on record: of what is wrong, or else of the likeliest mistake.
+        None where nothing was compared.
     value, sigma, unit
         Size, where there is one.
     candidates

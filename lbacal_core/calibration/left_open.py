@@ -106,7 +106,7 @@ def _on_grid(term: OpenTerm, curve: CalibrationCurve) -> Floats:
 
 
 def widen_by_open_terms(report: FitReport, terms: Collection[OpenTerm]) -> FitReport:
-    """The curves with these errors among their own systematic ones, by the share of their paths that have them."""
+    """The report whose curves have these errors among their own systematic ones, by the share of paths with them."""
     curves = []
     for curve, chain in zip(report.curves, report.chains, strict=True):
         if curve.c is None or curve.covariance is None:

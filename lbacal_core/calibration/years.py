@@ -314,6 +314,10 @@ def lend(
     ----------
     sky
         P_sky, shape (event, freq).
+        is_small
+            Which paths have too few events, shape (path,).
+        loss
+            L_coax of each path, shape (path, freq).
     """
     for one in beside:
         # what a window has borrowed it lends to nobody: C would depend on which of two small windows was fitted first

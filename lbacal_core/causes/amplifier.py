@@ -100,7 +100,7 @@ class MissingNoise(Cause):
         return self.identifier
 
     def sizes_of(self, template: Template) -> SizeRange:
-        """Noise is never negative: no less than all of the known noise is taken away."""
+        """Noise is never negative: no less than all of the known noise, which `templates` note, is taken away."""
         return SizeRange(-float(template.parameters["known_noise"]), 10.0)
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002

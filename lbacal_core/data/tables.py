@@ -15,7 +15,7 @@ SHIPPED = files("lbacal_core") / "data"
 def read_table(name: str) -> dict[str, NDArray[np.float64]]:
     """Columns of a shipped table, such as ``published_calibration``, by name, shape (row,).
 
-    NaN where a cell is empty.
+    NaN where a cell is empty. Tables are the files `lbacal_core/data/NAME.csv`.
     """
     return read_columns(SHIPPED / f"{name}.csv")
 

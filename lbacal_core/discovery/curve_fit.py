@@ -271,7 +271,7 @@ class CurveFit:
 
     @property
     def per_point(self) -> dict[str, float]:
-        """Chi^2 per point with the estimated noise, and with the drawn bars."""
+        """Chi^2 per point with the noise `estimated`, and with the `drawn_bars`."""
         return {"estimated": self.chi2 / self.points, "drawn_bars": self.chi2_drawn / self.points}
 
     @property

@@ -296,7 +296,10 @@ def tell_finding(
 def tell_gain(
     before: float, after: float, dof: int, held_out: float | None = None, events: int | None = None
 ) -> dict[str, Any]:
-    """The gain of a finding in chi^2 and on held-out events; null where nothing was held out."""
+    """The gain of a finding in chi^2, `before` and `after`, and in log-likelihood on `events` held out.
+
+    Both of these are null where nothing was held out.
+    """
     return {
         "chi2_before": before,
         "chi2_after": after,

@@ -355,7 +355,7 @@ class Score:
 
 
 def scan(model: LinearModel, causes: Sequence[Cause], targets: Sequence[Target], seed: int = 0) -> list[Score]:
-    """The best score of each cause, most significant first."""
+    """The best score of each cause, most significant first; a cause without a template for these data has none."""
     families = list_families(model.station.conditions, causes)
     best: dict[str, Score] = {}
     trials: dict[str, float] = {}

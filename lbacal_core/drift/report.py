@@ -119,7 +119,7 @@ SILENT_EVENTS = 20
 
 
 def describe_followed(history: History, followed: Followed, frequency_mhz: Floats) -> dict[str, Any]:
-    """Everything as JSON values, fractions of C and their change a year.
+    """The report of the watch as JSON values, fractions of C and their change a year.
 
     Keys are `threshold_sigma`, `first_unix`, `last_unix`, `changes`, `slopes`, `trends` (by station and ``array``) and
     `silent`.

@@ -380,7 +380,7 @@ def simulate_band_power(sky_power: SkyPower, dipole: str, lst_hours: Floats, wei
 
 
 def in_db(relative_sky: Floats, noise_share: float) -> Floats:
-    """Total power in dB, same shape, when a constant part of it is noise; the mean over LST is the reference."""
+    """Total power in dB over its mean over LST, same shape, where a constant share of that mean is noise."""
     return np.asarray(10.0 * np.log10((1.0 - noise_share) * relative_sky + noise_share))
 
 

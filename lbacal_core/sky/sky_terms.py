@@ -50,7 +50,7 @@ def dipole_temperature(
     lst_hours: Floats,
     arm: float = 0.0,
 ) -> Floats:
-    """Brightness averaged over the response of a dipole, shape (lst, freq), K."""
+    """Brightness averaged over the response of a dipole with its arm at azimuth `arm`, deg, shape (lst, freq), K."""
     beam = beam_multipoles(antenna, frequency_mhz, sky.lmax)
     seen = beam_on_equator(beam, arm, latitude_deg)
     modes = np.einsum("flm,flm->mf", precess_multipoles(extended_temperature(sky, frequency_mhz), DATA_EPOCH), seen)

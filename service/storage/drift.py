@@ -37,7 +37,7 @@ class PathMonths:
 
     @property
     def digest(self) -> str:
-        """The hash of all of it."""
+        """The hash of these months."""
         return hash_content([[path.key for path in self.paths], hash_arrays(self.months, self.ratios)])
 
 

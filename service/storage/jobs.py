@@ -301,7 +301,7 @@ class JobStore(Store):
         return {row.inputs: row.parts for row in self._connection.execute(statement.group_by(job_part.c.inputs))}
 
     def count_by_state(self, since: Instant) -> dict[str, int]:
-        """How many parts wait or run, and how many ended at an instant or later, by state."""
+        """How many parts wait or run, and how many ended at an instant or later, by state, such as ``queued``."""
         is_late = job_part.c.ended_us >= since
         counts: dict[str, int] = {}
         # one partial index each; grouped by state, SQLite would take the index of all states

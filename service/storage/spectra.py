@@ -546,7 +546,10 @@ class SpectraStore(Store):
         self, cursor: int = 0, limit: int = 100, station: str | None = None, since: Instant | None = None,
         until: Instant | None = None, flag: str | None = None,
     ) -> list[StoredEvent]:  # fmt: skip
-        """Stored events after a cursor in the order in which they came; of a station, a time, a flag where given."""
+        """Stored events after a cursor in the order in which they came; of a station, a time, a flag where given.
+
+        The cursor is the `number` of the last event of the page before; [since, until) are us UTC.
+        """
         statement = select(event).where(event.c.id > cursor).order_by(event.c.id).limit(limit)
         if since is not None:
             statement = statement.where(event.c.time_us >= since)

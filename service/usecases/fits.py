@@ -77,7 +77,10 @@ class Wanted:
 
     @property
     def taken_out(self) -> list[Cut]:
-        """The changes that are taken out of a mean, so that it is that of its antennas before they changed."""
+        """The changes that are taken out of a mean, so that it is that of its antennas before they changed.
+
+        Those of known size, of any antenna or station for the array, of single antennas for a station; none for paths.
+        """
         return [one for one in self.changed if self._is_part(one) and (one.power is not None or one.slow is not None)]
 
     @property
