@@ -548,6 +548,8 @@ def estimate_again(station: Station, residuals: Residuals, mean: Floats, sky: Fl
 
     Parameters
     ----------
+    mean
+        The other means, shape (polarisation, event, freq).
     sky
         What the sky that the means show leaves in the deviations, shape (class, event, freq); None for nothing.
     """

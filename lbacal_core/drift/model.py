@@ -86,8 +86,12 @@ def month_columns(
     ----------
     smooth
         Shape (month, 6).
+    time_unix
+        Shape (event,), rising.
     is_known
         Whether a series has a value at an event, shape (series, event).
+    starts
+        Number of the first event of each month, shape (month,), as `drift.events.find_months` gives it.
     """
     series, steps = terms.dates.shape
     columns = np.zeros((series, len(smooth), STEPS + steps))
@@ -280,11 +284,13 @@ def estimate_lasting(
     y
         Shape (series, month), in units of the event noise, 0 where unknown.
     events
-        Shape (series, month).
+        How many events each month has, shape (series, month).
     smooth
         Offset, season and slope at the months, shape (month, 6).
     scale
         The event noise, shape (series,).
+    months
+        Shape (month,).
     more
         One more column of each series that is no noise, shape (series, month); zeros where there is none.
     """

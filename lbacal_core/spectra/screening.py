@@ -245,8 +245,8 @@ def predict_daily_variation(
 
     Parameters
     ----------
-    level
-        ln of power, shape (path, event); any finite number where absent.
+    level, is_present
+        ln of power, shape (path, event), any finite number where absent; and where it is there.
 
     Returns
     -------
