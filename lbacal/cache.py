@@ -299,7 +299,7 @@ class Cache:
 
 
 def find_cache() -> Cache | None:
-    """The cache of `LBACAL_CACHE`, if that is set."""
+    """The cache of `LBACAL_CACHE`, None where that is not set."""
     folder = os.environ.get("LBACAL_CACHE")
     return Cache(Path(folder)) if folder else None
 

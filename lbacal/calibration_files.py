@@ -33,7 +33,7 @@ _KINDS: dict[type, Kind] = {float: NUMBERS, int: INTEGERS, str: STRINGS}
 
 
 def require_format(option: str, path: Path) -> str:
-    """The format that the end of a name says; what is no file, such as /dev/stdout, gets a table."""
+    """The format that the end of a name says, one of `FORMATS`; what is no file, such as /dev/stdout, gets ecsv."""
     if path.exists() and not path.is_file():
         return "ecsv"
     if path.suffix.lower() not in FORMATS:
@@ -64,7 +64,8 @@ def holds_curves(path: Path) -> bool:
 def read_calibrations(path: Path) -> dict[str, Any]:
     """Curves, covariances and budgets of a file, as in the JSON answer to "in effect at".
 
-    What a file does not say is None; curves without a C, which fit.json has too, are left out.
+    Its keys are `curves`, `budgets`, `at`, `as_of`. What a file does not say is None; curves without a C, which
+    fit.json has too, are left out.
     """
     kind = path.suffix.lower()
     if kind not in SUFFIXES:

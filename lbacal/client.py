@@ -237,7 +237,8 @@ class Client:
     ) -> dict[str, Any]:  # fmt: skip
         """Ask for fits over [since, until); with `wait` until they have ended. Returns the job.
 
-        With `fit` ``year`` the window is fitted by itself, else one chain through the years.
+        `scope` is ``array``, ``station`` or ``antenna``. With `fit` ``year`` the window is fitted by itself, else one
+        chain through the years.
         """
         body = {
             "scope": scope, "since": format_time(since), "until": format_time(until), "station": station,
@@ -247,12 +248,15 @@ class Client:
         return self.wait_for(number) if wait else self.job(number)
 
     def job(self, number: int) -> dict[str, Any]:
-        """Get a job as it is now."""
+        """Get a job as it is now: `state`, `progress` (0 to 1), `calibrations`, `error` and more."""
         found: dict[str, Any] = self.get(f"/v1/jobs/{number}")
         return found
 
     def wait_for(self, number: int, on_change: Callable[[dict[str, Any]], object] = lambda _: None) -> dict[str, Any]:
-        """Wait for a job until it has ended; `on_change` is called with it whenever its progress is another."""
+        """Wait for a job until it has ended and return it, failed or done.
+
+        `on_change` gets it whenever its progress is another.
+        """
         seen = None
         while (job := self.job(number))["state"] not in ENDED:
             if seen != (seen := (job["state"], job["progress"])):

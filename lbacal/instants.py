@@ -35,7 +35,7 @@ def read_clock() -> Instant:
 
 
 def parse_instant(place: str, text: str) -> Instant:
-    """Read an instant; digits beyond the microsecond are cut."""
+    """Read an instant, ISO 8601, UTC unless it says otherwise; digits beyond the microsecond are cut."""
     match = _INSTANT.fullmatch(text)
     if match is None or (match["fraction"] and len(match["time"]) == 5):
         raise BadInputError(place, EXPECTED, repr(text[:60]))
@@ -61,7 +61,7 @@ def parse_mjd(place: str, text: str) -> Instant:
 
 
 def parse_at(at: str | None, mjd: str | None) -> Instant:
-    """Read the one instant that a query asks about, given either way."""
+    """Read the one instant that a query asks about, given as ISO 8601 or as a modified Julian date."""
     if (at is None) == (mjd is None):
         raise BadInputError("at", "either at (ISO 8601) or mjd", "neither" if at is None else "both")
     return parse_instant("at", at) if at is not None else parse_mjd("mjd", str(mjd))

@@ -10,7 +10,10 @@ from lbacal_core.errors import BadInputError
 
 
 def ask_life(client: Client, station: str | None, antenna: int | None, dipole: str | None) -> dict[str, Any]:
-    """Ask the server for the history of a path, of a station (no antenna and dipole) or of the array (no station)."""
+    """Ask the server for the history of a path, of a station (no antenna and dipole) or of the array (no station).
+
+    The answer has `epochs`, `in_effect`, `versions`, `changes` and more, as `GET /v1/life` says.
+    """
     if (antenna is None) != (dipole is None) or (station is None and antenna is not None):
         raise BadInputError("life", "station, antenna and dipole, a station alone, or nothing", "a part of a path")
     whose = (

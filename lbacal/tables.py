@@ -66,7 +66,7 @@ COLUMNS = {
 
 
 def write_format(name: str, answer: dict[str, Any]) -> bytes:
-    """Write an answer to "in effect at" in one of the formats other than JSON."""
+    """Write an answer to "in effect at" in a format other than JSON: csv, ecsv, fits, hdf5 or nuradio."""
     writers = {"csv": write_csv, "ecsv": write_ecsv, "fits": write_fits, "hdf5": write_hdf5, "nuradio": write_nuradio}
     return writers[name](answer)
 
@@ -78,7 +78,10 @@ def _values_of(curve: dict[str, Any]) -> dict[str, list[Any]]:
 
 
 def rows_of(answer: dict[str, Any]) -> list[dict[str, Any]]:
-    """One row per path and frequency; an unknown error and an open end are None."""
+    """One row per path and frequency, its values by the names in `COLUMNS`.
+
+    An unknown error and an open end are None.
+    """
     rows = []
     for curve in answer["curves"]:
         size = len(curve["c"])
@@ -88,7 +91,7 @@ def rows_of(answer: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def make_columns(answer: dict[str, Any]) -> dict[str, NDArray[Any]]:
-    """Every column as an array, one value per path and frequency: numbers are NaN, texts empty where there is none."""
+    """Every column as an array by its name, shape (path x freq,): numbers are NaN, texts empty where there is none."""
     columns = {name: [column.convert([])] for name, column in COLUMNS.items()}
     for curve in answer["curves"]:
         for name, values in _values_of(curve).items():

@@ -75,8 +75,9 @@ class Transport:
     ) -> httpx2.Response:  # fmt: skip
         """Ask, with a JSON body or a spectra file, and ask again while nobody answers or the server is busy.
 
-        With `is_quick` it is known after `QUICK_S` that nobody is there, and after `answer_s` that a server which took
-        the question is stuck.
+        `UnreachableError` is raised after the last of `tries` (those of the transport unless given), `RefusedError` at
+        once for a status that says no. With `is_quick` it is known after `QUICK_S` that nobody is there, and after
+        `answer_s` that a server which took the question is stuck.
         """
         import httpx2
 

@@ -31,7 +31,7 @@ def convert_numbers(value: Any, unit: u.UnitBase) -> Floats:
 
 
 def convert_band(band: Any) -> tuple[float, float]:
-    """The lowest and the highest channel, MHz."""
+    """The lowest and the highest channel, MHz, of two numbers or Quantities."""
     if not isinstance(band, tuple | list | np.ndarray) or len(band) != 2:
         raise BadInputError("band", "two numbers, the lowest and the highest channel", repr(band))
     return convert_number(band[0], u.MHz), convert_number(band[1], u.MHz)

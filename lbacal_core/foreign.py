@@ -42,7 +42,7 @@ def require_unique_fields(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def parse_numbers(values: Any, place: str) -> Floats:
-    """Make an array of finite floats from JSON, naming the first entry that is not a number."""
+    """Make an array, shape (entry,), of a JSON list of finite numbers, naming the first entry that is none."""
     if not isinstance(values, list):
         raise BadInputError(place, "a list of numbers", type(values).__name__)
     return np.array([parse_number(value, f"{place}, entry {k}") for k, value in enumerate(values)], dtype=float)
@@ -77,7 +77,7 @@ _FAILURES = (OSError, ValueError, EOFError, KeyError, RuntimeError, MemoryError,
 
 
 def read_npz(path: Path, wanted: tuple[str, ...], words: str) -> dict[str, NDArray[Any]]:
-    """Read every array of a file, which must hold the required ones.
+    """Read every array of an .npz file by name, which must hold the `wanted` ones.
 
     Parameters
     ----------

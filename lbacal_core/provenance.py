@@ -38,7 +38,7 @@ def as_json(value: Any) -> Any:
 
 
 def with_arrays(content: Mapping[str, Any]) -> dict[str, Any]:
-    """JSON values of which lists are numbers, as arrays; null is NaN."""
+    """JSON values with every list, which must hold numbers, as an array; null is NaN."""
     return {name: np.array(one, dtype=float) if isinstance(one, list) else one for name, one in content.items()}
 
 
@@ -78,7 +78,7 @@ class Provenance:
         return replace(self, notes={**self.notes, name: note})
 
     def as_dict(self) -> dict[str, Any]:
-        """Everything as JSON values, package version included."""
+        """Everything as JSON values, the version of the package as `lbacal`."""
         return {
             "inputs": dict(self.inputs),
             "settings": dict(self.settings),

@@ -14,6 +14,8 @@ import numpy as np
 import pytest
 
 from lbacal import tables
+from lbacal_core.audit import audit
+from lbacal_core.audit.verdict import Line
 from lbacal_core.causes.catalogue import ANTENNA_CAUSES, CAUSES
 from lbacal_core.curves.curves import CalibrationCurve, FitReport, parse_curve
 from lbacal_core.curves.reference_chain import CableTable, GainSpread, GainSpreads, ReferenceChain
@@ -24,6 +26,7 @@ from lbacal_core.lstcurve import curve as lst_curve
 from lbacal_core.provenance import Provenance
 from lbacal_core.sky.table import read_sky_power
 from lbacal_core.spectra import spectra
+from lbacal_core.traces import assembly
 from lbacal_core.traces.assembly import COVARIATES, read_event_facts
 from service.wire import answers as formats
 from validation.reference import describe_causes, describe_commands, describe_settings
@@ -59,7 +62,7 @@ def test_every_setting_that_code_names_is_documented(repository: Path, tracked: 
 
 
 def page_of_format(repository: Path, title: str) -> str:
-    """The page of docs/formats with this title; that of event facts is the last part of the page of raw traces."""
+    """The page of docs/formats with this title, or the part of one from this title on."""
     for path in (repository / "docs/formats").glob("*.md"):
         found = re.search(rf"^##? {title}\n(.*)", path.read_text(), re.MULTILINE | re.DOTALL)
         if found is not None:
@@ -109,6 +112,8 @@ def fields_of_formats() -> list[tuple[str, str]]:
         *(("Fit report", name) for name in ("n_lna", "n_rcu", "n_adc", "inputs")),
         *(("Fit report", name) for name in (*chain, *(chain["spreads"] or {}), "offset", "spread")),
         *(("Investigation report", name) for name in sorted(fields_written_by(report_of_spectra, report_of_curve))),
+        *(("Audit report", name) for name in sorted({*fields_written_by(audit), *Line("", "", "", "").as_dict()})),
+        *(("Report of traces", name) for name in sorted(fields_written_by(assembly) - {"power"})),
     ]
 
 

@@ -240,7 +240,7 @@ def _noise_of(content: Mapping[str, Any]) -> EventNoise:
 
 
 def write_prediction(content: Mapping[str, Any], path: Path, events: Floats | None = None) -> None:
-    """Write P.h5: what the answer holds under its names, and the power of single events as `realisations`."""
+    """Write P.h5: what the answer holds under its names, and single events, shape (event, freq), as `realisations`."""
     with h5py.File(path, "w") as root:
         _write_group(root, content)
         if events is not None:

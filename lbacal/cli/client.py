@@ -190,7 +190,7 @@ def print_curve(curve: dict[str, Any], *, is_explained: bool = False) -> None:
 
 
 def wait_for(client: Client, number: int) -> dict[str, Any]:
-    """Wait for a job, and show how far it is."""
+    """Wait for a job until it has ended, and show how far it is; the job as `Client.job` gives it."""
     with progress() as tell:
         return client.wait_for(number, lambda job: tell(f"job {number} {job['state']}, {job['progress']:.0%}"))
 

@@ -126,7 +126,7 @@ def _size(change: dict[str, Any]) -> float:
 
 
 def print_act(done: dict[str, Any], *, dry_run: bool) -> None:
-    """Print what promotions changed, or would."""
+    """Print what promotions changed, or would: the answer of `POST /v1/promotions` and of what else promotes."""
     made = done.get("promotions", [done] if "promotion" in done else [])
     for one in made[:SHOWN]:
         what = f"version {one['calibration'][:12]}" if one["calibration"] else "nothing"

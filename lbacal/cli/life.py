@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from lbacal.cli.client import Antenna, Station
+from lbacal.cli.client import Antenna, Dipole, Station
 from lbacal.cli.ledger import DryRun, Reason, print_act
 from lbacal.cli.options import Json
 from lbacal.cli.outputs import show, show_each
@@ -104,13 +104,16 @@ def print_change(one: dict[str, Any]) -> None:
 
 def life(
     path: Annotated[str | None, typer.Argument(help="STATION or STATION/ANTENNA/DIPOLE; without it the array.")] = None,
-    as_json: Json = False,
-) -> None:
+    station: Station = None, antenna: Antenna = None, dipole: Dipole = None, as_json: Json = False,
+) -> None:  # fmt: skip
     """Show the life of a path, a station or the array: what was in effect when, and all that happened to it.
 
     Example: lbacal life CS002/17/X
     """
-    station, antenna, dipole = _parse_path(path)
+    if path is not None:
+        if (station, antenna, dipole) != (None, None, None):
+            raise BadInputError("life", "either a path or --station, --antenna and --dipole", "both")
+        station, antenna, dipole = _parse_path(path)
     with Client() as client:
         found = ask_life(client, station, antenna, dipole)
     show(found, print_life, as_json=as_json)
@@ -123,10 +126,10 @@ def print_life(found: dict[str, Any]) -> None:
     print(f"versions: {len(found['versions'])}, epochs: {len(found['epochs'])}")
 
 
-def _parse_path(text: str | None) -> tuple[str | None, int | None, str | None]:
-    match (text or "").split("/"):
-        case [station]:
-            return station or None, None, None
+def _parse_path(text: str) -> tuple[str, int | None, str | None]:
+    match text.split("/"):
+        case [station] if station:
+            return station, None, None
         case [station, antenna, dipole] if station and antenna.isdecimal() and dipole:
             return station, int(antenna), dipole
-    raise BadInputError("life", "STATION or STATION/ANTENNA/DIPOLE such as CS002/17/X", str(text))
+    raise BadInputError("life", "STATION or STATION/ANTENNA/DIPOLE such as CS002/17/X", repr(text))

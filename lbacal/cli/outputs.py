@@ -81,7 +81,7 @@ PATIENCE_S = 2.0
 
 @contextmanager
 def progress(steps: int | None = None) -> Iterator[Callable[..., None]]:
-    """A bar on a terminal, elsewhere a line a step on standard error once the work takes long.
+    """Show a bar on a terminal, elsewhere a line a step on standard error once the work takes long.
 
     The function that it gives takes the name of the step that begins; of many that are alike also its number and how
     many there are, of which a tenth are lines.

@@ -74,7 +74,10 @@ class TraceBatch:
 def reduce_station_event(
     settings: CleaningSettings, event: StationEvent, pulse_unix: float | None
 ) -> list[dict[str, Any]] | str:
-    """Measure one station event; a failure is returned as its sentence, so that one bad file stops nothing."""
+    """Measure one station event: a record of each path as `traces.assembly.record_background` makes it.
+
+    A failure is returned as its sentence, so that one bad file stops nothing.
+    """
     try:
         backgrounds = measure_background(event.references, settings, pulse_unix)
     except (LbacalError, OSError) as error:

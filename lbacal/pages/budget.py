@@ -20,7 +20,7 @@ STACKED = 5
 
 
 def tabulate(frequency_mhz: Floats, terms: Sequence[BudgetTerm]) -> list[list[str]]:
-    """The standard deviation of C by each term and by all together, per cent, X / Y at a few frequencies."""
+    """Rows of cells, the head first: error of C by each term and by all, per cent, X / Y at a few frequencies."""
     at = np.unique(np.linspace(0, frequency_mhz.size - 1, SHOWN).round().astype(int))
     rows = [(term.name, {p: term.variance(p) for p in term.vectors}) for term in terms]
     total = {p: np.sum([variance[p] for _, variance in rows], axis=0) for p in rows[0][1]}

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib import import_module
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,6 +25,8 @@ STYLES = ("-", "--", ":", "-.")
 NARROW, WIDE, HEIGHT = 520, 1040, 300
 INCH = 105
 """Units of a chart's width and height in an inch of a printed figure."""
+FOR_LEGEND = 0.5
+"""Room for a legend above what is drawn, where that fills the axes from below, as a part of its height."""
 LINE, BAND, POINTS, BARS, SPAN, MARK, IMAGE = "line", "band", "points", "bars", "span", "mark", "image"
 
 
@@ -116,8 +119,14 @@ class Chart:
         for limits, set_limits in ((self.x_limits, axes.set_xlim), (self.y_limits, axes.set_ylim)):
             if limits is not None:
                 set_limits(limits)
+        look: dict[str, Any] = {"fontsize": 8, "framealpha": 0.8, "edgecolor": "none"}
+        bands = [one for one in self.series if one.kind == BAND]
+        if len(bands) > 1 and all(np.array_equal(below.high, above.low) for below, above in pairwise(bands)):  # stacked
+            low, high = axes.get_ylim()
+            axes.set_ylim(low, high + FOR_LEGEND * (high - low))
+            look |= {"fontsize": 7, "loc": "upper center", "ncols": 2, "handlelength": 1.0, "columnspacing": 1.0}
         if any(one.name and one.image is None for one in self.series):
-            axes.legend(fontsize=8, framealpha=0.8, edgecolor="none")
+            axes.legend(**look)
 
 
 def plot_charts(charts: Sequence[Chart], columns: int = 2) -> Figure:

@@ -25,7 +25,7 @@ TOTAL, STATISTICAL = "total error", "statistical (dark)"
 
 
 def draw_curves(title: str, curves: Sequence[CalibrationCurve], beside: Mapping[str, Any] | None = None) -> Chart:
-    """C of some curves with the statistical error (dark) and the total (light); beside it others, name to (mhz, C)."""
+    """C of some curves with the statistical error (dark) and the total (light); beside it others, name to (MHz, C)."""
     fitted = [curve for curve in curves if curve.c is not None]
     series: list[Series] = []
     for k, curve in enumerate(fitted):
@@ -66,7 +66,7 @@ def values_of(curve: CalibrationCurve) -> tuple[Floats, Floats, Floats]:
 
 
 def published_curve() -> dict[str, Any]:
-    """The published calibration, to be drawn beside others."""
+    """The published calibration, to be drawn beside others: by its name MHz and V per ADC unit, shape (freq,) each."""
     table = read_table("published_calibration")
     return {"published (Mulrey et al. 2019)": (table["mhz"], table["c"])}
 
@@ -84,7 +84,10 @@ def draw_difference(first: CalibrationCurve, second: CalibrationCurve, names: tu
 
 
 def draw_terms(budget: Budget, statistical: Floats | None = None) -> Chart:
-    """The terms of the error of C: root mean square over the band, the largest of the polarisations, largest first."""
+    """The terms of the error of C: root mean square over the band, the largest of the polarisations, largest first.
+
+    `statistical` is the error of ln C, shape (freq,).
+    """
     sizes = {one.name: max(_rms(one.variance(p)) for p in one.vectors) for one in budget.terms}
     if statistical is not None:
         sizes["statistical"] = _rms(statistical**2)
@@ -108,7 +111,10 @@ def _rms(variance: Floats) -> float:
 
 
 def draw_noise(mhz: Floats, terms: Mapping[str, Floats], title: str, unit: str = "K") -> Chart:
-    """Draw the contributions to the power of a path, at the start of the chain."""
+    """Draw the contributions to the power of a path, at the start of the chain, by their names, shape (freq,) each.
+
+    `unit` is that of the numbers, for the axis.
+    """
     series = []
     for k, (name, values) in enumerate(terms.items()):
         titles = [f"{name} {nu:g} MHz: {value:.4g} {unit}" for nu, value in zip(mhz, values, strict=True)]
@@ -117,13 +123,19 @@ def draw_noise(mhz: Floats, terms: Mapping[str, Floats], title: str, unit: str =
 
 
 def limit_residuals(maps: Iterable[Floats]) -> float:
-    """One end of the colours for some residual maps, per cent."""
+    """Upper end of the colours, per cent, for maps of relative residuals of any shape: it holds 99 % of the points.
+
+    NaN counts nowhere; it is `SMALLEST_LIMIT` at least.
+    """
     known = np.concatenate([np.zeros(0), *(np.abs(one[np.isfinite(one)]) for one in maps)])
     return max(PERCENT * float(np.percentile(known, 99)) if known.size else 0.0, SMALLEST_LIMIT)
 
 
 def draw_residuals(title: str, mhz: Floats, values: Floats, limit: float) -> Chart:
-    """Measured over predicted power minus 1 against LST and frequency, shape (lst, freq)."""
+    """Measured over predicted power minus 1, a fraction, against LST and frequency, shape (lst, freq).
+
+    `limit` is the upper end of the colours, per cent (`limit_residuals`).
+    """
     extent = float(mhz[0]) - 0.5, float(mhz[-1]) + 0.5
     image = Series(IMAGE, extent, (0.0, 24.0), name="%", image=PERCENT * values, limit=limit)
     return Chart(title, FREQUENCY, "local sidereal time (h)", [image], y_limits=(0.0, 24.0))

@@ -20,7 +20,11 @@ LEAST_LIKELY = 0.05
 
 
 def draw_finding(finding: Mapping[str, Any]) -> dict[str, Chart]:
-    """The figures of a finding by their names; none where the report was made before it carried them."""
+    """The figures of a finding by their names; none where the report was made before it carried them.
+
+    They are `course`, `law`, ``before 0``, ``after 0``, … (maps, a pair an axis) and `change`, or `against` where
+    antennas were compared.
+    """
     picture, cause = finding["evidence"].get("picture"), finding["cause"]
     if picture is None:
         return {}
@@ -38,7 +42,7 @@ def draw_finding(finding: Mapping[str, Any]) -> dict[str, Chart]:
 
 
 def draw_sentence(sentence: Mapping[str, Any]) -> dict[str, Chart]:
-    """Course and law of a sentence; none where the report was made before it carried them."""
+    """The figures `course` and `law` of a sentence; none where the report was made before it carried them."""
     return _draw_course_and_law(sentence["picture"], "the sentence") if "picture" in sentence else {}
 
 
@@ -97,7 +101,11 @@ def tell_rivals(finding: Mapping[str, Any]) -> str:
 
 
 def draw_station(station: Mapping[str, Any], scores: Sequence[Mapping[str, Any]] = ()) -> dict[str, Chart]:
-    """Draw structure without a cause, the mean over all paths before and after, and the scores of the causes."""
+    """Draw structure without a cause, the mean over all paths before and after, and the scores of the causes.
+
+    The figures are `structure`, `spectrum`, `amounts`, the maps ``before 0``, ``after 0``, … and `scores`, as far as
+    there is something to draw.
+    """
     picture = station.get("picture") or {"maps": []}
     charts: dict[str, Chart] = {}
     if "structure" in picture:

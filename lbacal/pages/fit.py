@@ -81,7 +81,10 @@ LARGEST_LINEAR = 5.0
 def average_residuals(
     spectra: Spectra, curves: Sequence[CalibrationCurve], simulation: Simulation
 ) -> dict[str, Floats]:
-    """Residual maps of each polarisation, the mean over stations, shape (lst, freq); NaN where nothing was measured."""
+    """Maps of relative residuals by polarisation, the mean over stations, shape (lst, freq).
+
+    NaN where nothing was measured.
+    """
     maps: dict[str, list[Floats]] = {}
     for block in iterate_blocks(spectra):
         maps.setdefault(block.dipole, []).append(map_departures(block, curves, simulation))

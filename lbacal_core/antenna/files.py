@@ -137,32 +137,13 @@ def _rows_of_wipl(lines: list[str], path: Path) -> Iterator[Row]:
 
 
 def _table_of_rows(rows: list[Row], path: Path, *, has_level: bool) -> JonesTable:
-    """Rows in any order on a full grid; rows below the horizon and at 360 degrees are dropped."""
+    """Rows in any order on a full grid; rows below the horizon are dropped."""
     kept = [row for row in rows if -1e-9 <= row[1] <= 90.0 + 1e-9]
     if not kept:
         raise UnreadableFileError(f"{path}: expected rows of Jones terms, found none above the horizon")
-    axes: list[Floats] = []
-    places: list[NDArray[np.intp]] = []
-    for column in range(3):
-        values = np.round(np.array([row[column] for row in kept], dtype=float), 6)
-        if column == 2:
-            values %= 360.0
-        axis, place = np.unique(values, return_inverse=True)
-        axes.append(axis)
-        places.append(place)
-    theta = np.full([axis.size for axis in axes], np.nan, dtype=complex)
-    phi = theta.copy()
-    theta[tuple(places)] = [row[3] for row in kept]
-    phi[tuple(places)] = [row[4] for row in kept]
-    holes = np.argwhere(np.isnan(theta))
-    if holes.size:
-        nu, zenith, azimuth = (axis[index] for axis, index in zip(axes, holes[0], strict=True))
-        raise BadInputError(
-            str(path),
-            "a row for every frequency, zenith angle and azimuth",
-            f"none at {nu:g} MHz, {zenith:g}, {azimuth:g} deg",
-        )
-    return JonesTable(path.stem, axes[0], axes[1], axes[2], theta, phi, has_level)
+    frequency, zenith, azimuth, theta, phi = (np.array(column) for column in zip(*kept, strict=True))
+    axes, grids = grid_rows(str(path), (frequency, zenith, azimuth), (theta, phi))
+    return JonesTable(path.stem, axes[0], axes[1], axes[2], grids[0], grids[1], has_level)
 
 
 # Jones terms in somebody else's coordinates, turned so that the arm is where this package expects it.
@@ -172,12 +153,14 @@ def _table_of_rows(rows: list[Row], path: Path, *, has_level: bool) -> JonesTabl
 
 LEAST_LINEAR = 0.9
 """Share of the response at zenith along one direction, below which an antenna has no arm."""
+SAME_RESPONSE = 1e-3
+"""Rows of one direction, as of 0 and 360 degrees, may differ by this part of the largest response: by rounding."""
 
 
 def grid_rows(
     place: str, columns: tuple[Floats, Floats, Floats], values: tuple[Complexes, ...]
 ) -> tuple[list[Floats], list[Complexes]]:
-    """Axes and grids of rows in any order: frequency, zenith angle and phi, each once, and every combination.
+    """Axes and grids of rows in any order, one of every combination: frequency, zenith angle and phi.
 
     Parameters
     ----------
@@ -185,6 +168,15 @@ def grid_rows(
         Frequency (MHz), zenith angle and phi (deg) of each row, shape (row,); 360 degrees of phi are 0.
     values
         What the rows hold, shape (row,) each.
+
+    Returns
+    -------
+    The three axes, rising, and of each of the values the grid, shape (freq, zenith, phi).
+
+    Raises
+    ------
+    BadInputError
+        Where a combination is missing, or two rows of one say different things.
     """
     frequency, zenith, phi = (np.round(column, 6) for column in columns)
     axes, places = [], []
@@ -199,10 +191,17 @@ def grid_rows(
         grid[tuple(places)] = value
         grids.append(grid)
     holes = np.argwhere(np.isnan(grids[0]))
+    expected = "row for every frequency, zenith angle and azimuth"
     if holes.size:
         nu, theta, angle = (axis[k] for axis, k in zip(axes, holes[0], strict=True))
-        expected = "a row for every frequency, zenith angle and azimuth"
-        raise BadInputError(place, expected, f"none at {nu:g} MHz, {theta:g}, {angle:g} deg")
+        raise BadInputError(place, f"a {expected}", f"none at {nu:g} MHz, {theta:g}, {angle:g} deg")
+    apart = np.max([np.abs(grid[tuple(places)] - value) for grid, value in zip(grids, values, strict=True)], axis=0)
+    row = int(np.argmax(apart))
+    if apart[row] > SAME_RESPONSE * np.abs(values).max():
+        where = f"{frequency[row]:g} MHz, {zenith[row]:g}, {phi[row]:g} deg"
+        raise BadInputError(
+            place, "one row for every frequency, zenith angle and azimuth", f"two that differ at {where}"
+        )
     return axes, grids
 
 

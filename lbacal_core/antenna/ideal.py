@@ -20,7 +20,7 @@ class IsotropicAntenna:
     name: str = "isotropic"
 
     def jones(self, frequency_mhz: Floats, zenith: Floats, azimuth_from_arm: Floats) -> tuple[Complexes, Complexes]:
-        """Unit response to the theta component."""
+        """Unit response to the theta component, and none to phi, shape (freq, ...) each."""
         visible = (np.asarray(zenith) < np.pi / 2) & np.isfinite(azimuth_from_arm)
         theta = np.broadcast_to(visible, (frequency_mhz.size, *visible.shape)).astype(complex)
         return theta, np.zeros_like(theta)
@@ -41,7 +41,7 @@ class QuarterWaveDipole:
     name: str = "quarter-wave"
 
     def jones(self, frequency_mhz: Floats, zenith: Floats, azimuth_from_arm: Floats) -> tuple[Complexes, Complexes]:
-        """Per unit length of the dipole."""
+        """J_theta and J_phi per unit length of the dipole, shape (freq, ...) each; angles in rad."""
         cosine = np.cos(zenith)
         image = np.ones(frequency_mhz.size).reshape((-1,) + (1,) * np.ndim(zenith)) * (
             2j * np.sin(np.pi / 2 * cosine) * (cosine > 0)
@@ -71,7 +71,7 @@ class ShortDipole:
         return replace(self, tilt_deg=self.tilt_deg + tilt_deg, name=f"{self.name}(tilt_deg={tilt_deg:g})")
 
     def jones(self, frequency_mhz: Floats, zenith: Floats, azimuth_from_arm: Floats) -> tuple[Complexes, Complexes]:
-        """Per unit length of the dipole."""
+        """J_theta and J_phi per unit length of the dipole, shape (freq, ...) each; angles in rad."""
         wavenumber = (2 * np.pi * 1e6 * frequency_mhz / SPEED_OF_LIGHT).reshape((-1,) + (1,) * np.ndim(zenith))
         cosine = np.cos(zenith)
         phase, tilt = wavenumber * self.height_m * cosine, np.radians(self.tilt_deg)
@@ -139,7 +139,7 @@ class InvertedV:
             )
 
     def jones(self, frequency_mhz: Floats, zenith: Floats, azimuth_from_arm: Floats) -> tuple[Complexes, Complexes]:
-        """Effective length along theta and phi for a current of 1 at the feed, m."""
+        """Effective length along theta and phi for a current of 1 at the feed, m, shape (freq, ...) each."""
         # neither is spread over the grid of both: the costly exponentials know no azimuth
         zenith, azimuth = np.asarray(zenith, dtype=float), np.asarray(azimuth_from_arm, dtype=float)
         cosine, sine = np.cos(zenith), np.sin(zenith)

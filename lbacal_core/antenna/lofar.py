@@ -118,7 +118,7 @@ class ResonantAntenna:
         return f"{self.base.name}-resonant"
 
     def jones(self, frequency_mhz: Floats, zenith: Floats, azimuth_from_arm: Floats) -> tuple[Complexes, Complexes]:
-        """The base's Jones terms times the circuit's transfer."""
+        """The base's Jones terms times the circuit's transfer, shape (freq, ...) each."""
         transfer = self.circuit.transfer(frequency_mhz).reshape((-1,) + (1,) * np.ndim(zenith))
         theta, phi = self.base.jones(frequency_mhz, zenith, azimuth_from_arm)
         return theta * transfer, phi * transfer

@@ -24,7 +24,7 @@ class AntennaModel(Protocol):
 
     @property
     def name(self) -> str:
-        """Name in provenance."""
+        """Name of the antenna model in the provenance of results."""
         ...
 
     def jones(self, frequency_mhz: Floats, zenith: Floats, azimuth_from_arm: Floats) -> tuple[Complexes, Complexes]:

@@ -37,7 +37,13 @@ READERS: dict[str, Callable[[Path], AntennaModel]] = {
 
 
 def load_antenna(name_or_file: str) -> AntennaModel:
-    """The antenna model of a name, or of a file of Jones terms (`antenna.files`, `aera`, `nuradio`, `uvbeam`)."""
+    """The antenna model of a name, or of a file of Jones terms in any of `READERS`.
+
+    Raises
+    ------
+    UnknownNameError
+        Where it is neither.
+    """
     if name_or_file in ANTENNAS:
         return ANTENNAS[name_or_file]()
     path = Path(name_or_file)
@@ -64,7 +70,7 @@ def take_antenna_gain(
     Parameters
     ----------
     content
-        What an instrument file holds, with or without `antenna_gain`.
+        What an instrument file holds, with or without `antenna_gain`; `place` is its name for messages.
     antenna
         File of Jones terms in V per V/m.
     source

@@ -53,7 +53,10 @@ class VariedAntenna:
         return f"{self.base.name}({', '.join(f'{key}={value:g}' for key, value in changes.items())})"
 
     def jones(self, frequency_mhz: Floats, zenith: Floats, azimuth_from_arm: Floats) -> tuple[Complexes, Complexes]:
-        """The base's Jones terms at the turned direction, scaled; the polarisation basis does not follow a tilt."""
+        """The base's Jones terms at the turned direction, scaled, shape (freq, ...) each.
+
+        The polarisation basis does not follow a tilt.
+        """
         cosine = np.cos(zenith)
         seen_zenith, seen_azimuth = self._direction(np.asarray(zenith, dtype=float), np.asarray(azimuth_from_arm))
         theta, phi = self.base.jones(frequency_mhz, seen_zenith, seen_azimuth)

@@ -239,7 +239,10 @@ def _level_and_slope(difference: Floats, axis: Floats) -> Floats:
 
 
 def fits_cables(station: AuditedStation, rows: NDArray[np.int64], unit: str) -> bool:
-    """Whether values in a unit of `as_power` differ between cable names as cables do, not only better than power."""
+    """Whether values in a unit of `as_power` differ between cable names as cables do, not only better than power.
+
+    `rows` are rows of the station, not antenna numbers.
+    """
     return _of_cables(station, rows, np.log(as_power(station.power[rows], unit))) > -(FITS_SIGMA**2) / 2
 
 
@@ -273,7 +276,11 @@ def _of_cables(station: AuditedStation, rows: NDArray[np.int64], power: Floats) 
 def levels_of_cables(
     station: AuditedStation, rows: NDArray[np.int64], power: Floats
 ) -> tuple[NDArray[np.str_], Floats, Floats]:
-    """Cable names, ln P of their antennas over what loss and the other names say, and its error; none of one name."""
+    """Cable names, ln P of their antennas over what loss and the other names say, and its error, shape (name,) each.
+
+    All are empty where there is one name. `rows` are rows of the station, not antenna numbers; `power` is theirs,
+    shape (row, dipole, event, freq).
+    """
     level = np.nanmedian(np.nanmean(power, axis=1), axis=(1, 2))
     expected = np.log(station.loss[rows]).mean(axis=-1)
     names, name_at = np.unique(station.cables[rows], return_inverse=True)
@@ -324,7 +331,7 @@ class ExchangeOdds:
     odds: Floats
 
     def exchanged(self) -> NDArray[np.int64]:
-        """Select those of `rows` whose antennas differ from most."""
+        """Select those of `rows`, shape (exchanged,), whose antennas differ from most."""
         return np.asarray(self.rows[self.odds > CERTAIN])
 
     def flipped(self) -> ExchangeOdds:
@@ -439,7 +446,10 @@ DECIBEL = 10 / np.log(10)
 
 
 def find_steps(station: AuditedStation, rows: NDArray[np.int64]) -> list[Line]:
-    """Steps of the antennas that are given."""
+    """Steps of antennas, given by their rows in the station: in time, and between cable names.
+
+    Empty where there are none.
+    """
     return [*_find_in_time(station, rows), *_find_between_cables(station, rows)] if rows.size else []
 
 

@@ -48,7 +48,7 @@ class AuditReport:
         return all(line.verdict != WRONG for line in self.lines)
 
     def as_dict(self) -> dict[str, Any]:
-        """Describe the report as JSON values."""
+        """Describe the report as JSON values: `healthy`, `lines` and `stations`."""
         return {
             "healthy": self.is_healthy,
             "lines": [line.as_dict() for line in self.lines],

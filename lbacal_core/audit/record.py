@@ -55,7 +55,7 @@ class RecordError:
 
     @property
     def size(self) -> tuple[float, float | None]:
-        """The size with its standard deviation, which letters and places have not."""
+        """The size with its standard deviation, None where it has none: exchanged letters and places."""
         if self.line.value is None:
             return EXCHANGED, None
         return self.line.value, self.line.sigma

@@ -51,7 +51,10 @@ class SkyModels:
     _modes: dict[tuple[Exchange, float, float, str], Complexes] = field(default_factory=dict)
 
     def seen(self, lst_hours: Floats, latitude_deg: float, turned_deg: float = 0.0) -> Seen:
-        """Power of the sky at a latitude with all arms turned, by the models, and the differences between models."""
+        """Power of the sky by the models at a latitude with all arms turned, and the differences between models.
+
+        `lst_hours` has the shape (time,).
+        """
 
         def change(exchange: Exchange) -> Floats:
             power = np.stack(
@@ -143,7 +146,10 @@ class SkyMatch:
         ]
 
     def gain_of_exchange(self, rows: NDArray[np.int64]) -> float:
-        """By how much ln L grows if the dipoles of some antennas are exchanged; 0 where the data are too short."""
+        """By how much ln L grows if the dipoles of some rows of the station are exchanged.
+
+        0 where the data are too short.
+        """
         if not self.is_long_enough() or rows.size == 0:
             return 0.0
         likelihood = AnyReceiver(make_series(self.station, rows), rows.size)
@@ -151,7 +157,7 @@ class SkyMatch:
         return likelihood.log_likelihood(_exchanged(seen)) - likelihood.log_likelihood(seen)
 
     def tell(self, rows: NDArray[np.int64]) -> list[Line]:
-        """Compare what some antennas saw with the record, and with what may be wrong in it."""
+        """Compare what some antennas saw, given by rows of the station, with the record and what may be wrong in it."""
         station = self.station
         if rows.size == 0:
             return []
@@ -176,7 +182,10 @@ class SkyMatch:
 
 
 def tell_unit(station: AuditedStation, rows: NDArray[np.int64], instrument: Instrument) -> list[Line]:
-    """The unit, where it is wrong by what cables and spectrum say."""
+    """A line on the unit where it is wrong by what cables and spectrum say, else none.
+
+    `rows` are those of the station.
+    """
     units = _try_units(station, rows, instrument, 0.0) if rows.size else []
     return conclude(station.name, 0.0, units) if any(one.log_likelihood > LEAST_GAIN for one in units) else []
 

@@ -55,7 +55,7 @@ class AuditedStation:
 
     @property
     def hours(self) -> float:
-        """Sidereal time that is covered: days on end at one sidereal time show no more of the sky than one of them."""
+        """Sidereal time that is covered, hours: days on end at one sidereal time show no more than one of them."""
         sky = np.sort(self.lst_hours)
         gaps = np.diff(sky, append=sky[0] + 24.0)
         return float(gaps[gaps < LARGEST_GAP_H].sum())
@@ -144,7 +144,7 @@ FEWEST = 4
 
 
 def spread(values: Floats, axis: int = 0) -> Floats:
-    """Robust standard deviation along an axis, NaN left out."""
+    """Robust standard deviation along an axis, which the shape loses; NaN left out."""
     centre = np.nanmedian(values, axis=axis, keepdims=True)
     return np.asarray(ROBUST * np.nanmedian(np.abs(values - centre), axis=axis))
 
@@ -226,7 +226,7 @@ def make_series(station: AuditedStation, rows: NDArray[np.int64]) -> Series:
     Parameters
     ----------
     rows
-        Which antennas.
+        Rows of the antennas in the station, not their numbers.
     """
     power = station.power[rows] / station.loss[rows][:, None, None, :]
     bands = np.array_split(np.arange(station.frequency_mhz.size), BANDS)

@@ -25,7 +25,8 @@ class Line:
     station, antennas, dipole
         The path or paths; no antennas for the whole station, None for both polarisations.
     log_odds
-        Natural logarithm of the odds for the answer against the claim on record; None where nothing was compared.
+        Natural logarithm of the odds against the claim on record: of what is wrong, or else of the likeliest mistake.
+        None where nothing was compared.
     value, sigma, unit
         Size, where there is one.
     candidates
@@ -50,7 +51,7 @@ class Line:
     kind: str = ""
 
     def as_dict(self) -> dict[str, Any]:
-        """Describe the line as JSON values."""
+        """Describe the line as JSON values, all but `kind` under their names here."""
         return {
             "check": self.check,
             "verdict": self.verdict,

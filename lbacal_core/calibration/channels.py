@@ -48,6 +48,8 @@ def solve_without_interference(
 
     Parameters
     ----------
+    slope, intercept, information
+        Those of `Lines`: shape (path, freq) twice, and (path, 2 freq, 2 freq).
     solution
         That with no intercept free, if it is at hand.
 

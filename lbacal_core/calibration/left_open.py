@@ -38,12 +38,12 @@ class OpenTerm:
     vectors: Mapping[str, Floats]
 
     def share_of(self, members: Iterable[tuple[str, int]]) -> float:
-        """The part of some antennas, by station and number, that have it."""
+        """The part, 0 to 1, of some antennas, by station and number, that have it."""
         has_it = [s == self.station and (self.antennas is None or a in self.antennas) for s, a in members]
         return float(np.mean(has_it)) if has_it else 0.0
 
     def for_mean_of(self, members: Iterable[tuple[str, int]], polarisations: Iterable[str]) -> BudgetTerm:
-        """The term of a budget for the mean of some antennas."""
+        """The term of a budget for the mean of some antennas, by station and number."""
         size = next(iter(self.vectors.values())).shape[1]
         share, none = self.share_of(members), np.zeros((0, size))
         vectors = {p: share * self.vectors.get(p, none) for p in polarisations}
@@ -106,7 +106,7 @@ def _on_grid(term: OpenTerm, curve: CalibrationCurve) -> Floats:
 
 
 def widen_by_open_terms(report: FitReport, terms: Collection[OpenTerm]) -> FitReport:
-    """The curves with these errors among their own systematic ones, by the share of their paths that have them."""
+    """The report whose curves have these errors among their own systematic ones, by the share of paths with them."""
     curves = []
     for curve, chain in zip(report.curves, report.chains, strict=True):
         if curve.c is None or curve.covariance is None:

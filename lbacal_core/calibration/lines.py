@@ -220,7 +220,7 @@ class Lines:
     shared: SharedNoise
 
     def select(self, paths: NDArray[np.intp]) -> Lines:
-        """Select some of the paths."""
+        """Select some of the paths by their rows."""
         levels = NoiseLevels(self.levels.radiometer[paths], self.levels.vectors[paths])
         shared = SharedNoise(self.shared.constant[paths], self.shared.behind[paths])
         return Lines(self.slope[paths], self.intercept[paths], self.information[paths], levels, shared)

@@ -246,7 +246,10 @@ class Prediction:
         return np.asarray(np.sum(list(self.contributions.values()), axis=0) / point_source_power(one, one))
 
     def describe_adc(self) -> dict[str, Any]:
-        """Root mean square of the samples by the power in the channels: sum of power x width x R_r (Parseval)."""
+        """Root mean square of the samples by the power in the channels: sum of power x width x R_r (Parseval).
+
+        `rms` and its `sigma` relative to it; `band_mhz` is the first and the last channel.
+        """
         part = self.power * guess_widths(self.frequency_mhz) * RESISTANCE_OHM
         rms = float(part.sum()) ** 0.5
         moved = np.concatenate([self.errors @ part, self.noise.shared @ part, np.sqrt(self.noise.own) * part])

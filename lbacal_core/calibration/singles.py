@@ -90,7 +90,10 @@ def _fit_singles(block: SpectraBlock, simulation: Simulation, typical_blocks: fl
 
 
 def relative_variance_of(block: SpectraBlock, typical_blocks: float) -> Floats:
-    """Variance of the radiometer noise over that of a typical spectrum, shape (path, event); infinite where absent."""
+    """Variance of the radiometer noise over that of a typical spectrum, shape (path, event); infinite where absent.
+
+    The typical spectrum is the mean of `typical_blocks` blocks.
+    """
     with np.errstate(divide="ignore"):
         return np.asarray(typical_blocks / block.blocks)
 

@@ -293,7 +293,10 @@ class Lent:
     def insert_into(
         self, at: NDArray[np.intp], alone: SeparableSolution, is_free: Booleans
     ) -> tuple[NDArray[np.intp], tuple[SeparableSolution, Booleans]]:
-        """Insert small paths among the fitted ones; returns also the solution and free intercepts of all."""
+        """Insert small paths among the fitted ones; returns all paths in order, their solution and free intercepts.
+
+        `at` and `is_free` are those of the fitted paths, shapes (path,) and (path, freq).
+        """
         both = np.concatenate([at, self.at])
         order = np.argsort(both)
         free = np.concatenate([is_free, np.zeros(self.lines.slope.shape, dtype=bool)])
@@ -305,10 +308,16 @@ def lend(
 ) -> Iterator[Lent]:
     """Take noise levels and chain from the nearest window that has its own, for each path with too few events.
 
+    None where no window has any.
+
     Parameters
     ----------
     sky
         P_sky, shape (event, freq).
+        is_small
+            Which paths have too few events, shape (path,).
+        loss
+            L_coax of each path, shape (path, freq).
     """
     lacks = is_small.copy()
     for one in beside:

@@ -30,7 +30,7 @@ class TemperatureCause(Cause):
         return (TEMPERATURE,)
 
     def time_profile(self, conditions: Conditions, template: Template) -> Floats:
-        """Temperature about its mean, per 10 K."""
+        """Temperature about its mean, per 10 K, shape (event, 1)."""
         return conditions.warmth(template.parameters.get("delay_h", 0.0))
 
 
@@ -46,7 +46,7 @@ class StepCause(Cause):
         return [step_template(instant) for instant in conditions.step_dates()]
 
     def time_profile(self, conditions: Conditions, template: Template) -> Floats:
-        """0 before the date and 1 from it on."""
+        """0 before the date and 1 from it on, shape (event, 1)."""
         return conditions.after(template.parameters["date_unix"])
 
     def finer_templates(self, conditions: Conditions, template: Template) -> list[Template]:
@@ -54,7 +54,7 @@ class StepCause(Cause):
         return [step_template(instant) for instant in conditions.dates_about(template.parameters["date_unix"])]
 
     def is_another(self, template: Template, earlier: Template) -> bool:
-        """Another date."""
+        """Whether the dates differ."""
         return bool(template.parameters["date_unix"] != earlier.parameters["date_unix"])
 
 
@@ -69,7 +69,10 @@ class LnaNoiseSlope(Cause):
     sizes: SizeRange = SizeRange(-1.0, 1.0)
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
-        """N_LNA with a slope about 55 MHz."""
+        """N_LNA with a slope about 55 MHz.
+
+        It is multiplied by 1 + amount (nu - 55 MHz) / 25 MHz.
+        """
         return replace(terms, n_lna=terms.n_lna * (1.0 + amount * (conditions.frequency_mhz - 55.0) / 25.0))
 
 
@@ -97,11 +100,14 @@ class MissingNoise(Cause):
         return self.identifier
 
     def sizes_of(self, template: Template) -> SizeRange:
-        """Noise is never negative: no less than all of the known noise is taken away."""
+        """Noise is never negative: no less than all of the known noise, which `templates` note, is taken away."""
         return SizeRange(-float(template.parameters["known_noise"]), 10.0)
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
-        """N_LNA plus noise that is flat in frequency."""
+        """N_LNA plus noise that is flat in frequency.
+
+        The amount is in the unit of P_sky.
+        """
         return replace(terms, n_lna=terms.n_lna + amount)
 
     def scale(self, terms: ChainTerms) -> float:
@@ -110,7 +116,7 @@ class MissingNoise(Cause):
         return float(np.average(sky, weights=np.broadcast_to(terms.front.mean(axis=1), sky.shape)))
 
     def kinds(self, template: Template) -> frozenset[str]:  # noqa: ARG002
-        """What an isotropic level does to the power of a band."""
+        """The kind of an isotropic level, which does the same to the power of a band."""
         return frozenset({"isotropic_level"})
 
 
@@ -184,7 +190,7 @@ class GainDrift(Cause):
     scopes: Sequence[str] = SCOPES
 
     def time_profile(self, conditions: Conditions, template: Template) -> Floats:  # noqa: ARG002
-        """Years since the middle of the data."""
+        """Years since the mean instant of the data, shape (event, 1)."""
         return np.asarray((conditions.time_unix - conditions.time_unix.mean())[:, None] / YEAR_S)
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002

@@ -50,7 +50,7 @@ class DipoleSwap(Cause):
         return [Template()] * len(pairs) if len(pairs) < 2 else [Template({"between": " ".join(p)}) for p in pairs]
 
     def is_another(self, template: Template, earlier: Template) -> bool:
-        """Another pair."""
+        """Whether the pairs differ."""
         return template.parameters != earlier.parameters
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:
@@ -85,7 +85,7 @@ class ResonanceCause(Cause):
         return [Template(one | {"model": model}) for model in ("curve", "circuit") for one in followed]
 
     def covariates(self, template: Template) -> Sequence[str]:
-        """What is followed."""
+        """The column that is followed; none of the season."""
         return {"temperature": (TEMPERATURE,), "wetness": (RAIN,), "season": ()}[template.parameters["follows"]]
 
     def finer_templates(self, conditions: Conditions, template: Template) -> list[Template]:
@@ -103,7 +103,7 @@ class ResonanceCause(Cause):
         ]
 
     def time_profile(self, conditions: Conditions, template: Template) -> Floats:
-        """What is followed."""
+        """The season, temperature about its mean, or rain, as ``follows`` of the template says, shape (event, 1)."""
         kind = template.parameters["follows"]
         if kind == "season":
             return conditions.season(template.parameters["phase_deg"])
@@ -112,7 +112,10 @@ class ResonanceCause(Cause):
         return conditions.wetness(template.parameters["wetness"])
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:
-        """Another G_ant in front."""
+        """Another G_ant in front.
+
+        It is changed by the amount as `of_circuit` or `of_curve` says, by the ``model`` of the template.
+        """
         if template.parameters["model"] == "circuit":
             change = self.of_circuit(conditions, amount)
         else:
@@ -124,7 +127,7 @@ class ResonanceCause(Cause):
         raise NotImplementedError
 
     def of_circuit(self, conditions: Conditions, amount: Floats) -> Floats:
-        """As `of_curve` to first order, from the circuit of dipole and LNA."""
+        """As `of_curve` to first order, from the circuit of dipole and LNA, shape of `amount` with freq."""
         raise NotImplementedError
 
 
@@ -140,11 +143,14 @@ class ResonanceShift(ResonanceCause):
     step: float = 0.01
 
     def of_curve(self, frequency_mhz: Floats, log_gain: Floats, amount: Floats) -> Floats:
-        """G_ant read at nu - shift."""
+        """Change of ln G_ant read at nu - `amount`, MHz, shape (..., freq) for an amount of shape (..., 1)."""
         return read_between(frequency_mhz, log_gain, frequency_mhz - amount) - log_gain
 
     def of_circuit(self, conditions: Conditions, amount: Floats) -> Floats:
-        """Longer arms, whose resonance is lower, by the place of the half-power points."""
+        """Change of ln G_ant by the length of the arms, shape (..., freq).
+
+        `amount` is the shift of the half-power points, MHz.
+        """
         longer, shorter = (replace(CIRCUIT, arm_m=CIRCUIT.arm_m * factor) for factor in (1.001, 0.999))
         change = np.log(longer.gain(conditions.frequency_mhz) / shorter.gain(conditions.frequency_mhz))
         return np.asarray(amount * change / (np.mean(_half_power_mhz(longer)) - np.mean(_half_power_mhz(shorter))))
@@ -162,13 +168,16 @@ class ResonanceWidth(ResonanceCause):
     step: float = 0.002
 
     def of_curve(self, frequency_mhz: Floats, log_gain: Floats, amount: Floats) -> Floats:
-        """G_ant read closer to its resonance: the peak keeps its height and widens."""
+        """Change of ln G_ant read closer to its resonance, shape (..., freq): the peak widens by exp(`amount`)."""
         centre = frequency_mhz[np.argmax(log_gain)]
         closer = centre + (frequency_mhz - centre) * np.exp(-amount)
         return read_between(frequency_mhz, log_gain, closer) - log_gain
 
     def of_circuit(self, conditions: Conditions, amount: Floats) -> Floats:
-        """More resistance in the dipole, by the width between the half-power points."""
+        """Change of ln G_ant by resistance in the dipole, shape (..., freq).
+
+        `amount` is ln of the width at half power.
+        """
         more, less = (replace(CIRCUIT, resistance_ohm=CIRCUIT.resistance_ohm * factor) for factor in (1.001, 0.999))
         change = np.log(more.gain(conditions.frequency_mhz) / less.gain(conditions.frequency_mhz))
         return np.asarray(amount * change / np.log(np.ptp(_half_power_mhz(more)) / np.ptp(_half_power_mhz(less))))

@@ -70,7 +70,7 @@ class Axis:
 
 
 def harmonics(phase: Floats, number: int) -> Floats:
-    """Cosines and sines of a phase in turns, shape (2 number, event)."""
+    """Cosines, then sines, of harmonics 1 to `number` of a phase in turns, shape (event,): (2 number, event)."""
     angle = 2 * np.pi * np.outer(np.arange(1, number + 1), phase)
     return np.concatenate([np.cos(angle), np.sin(angle)])
 
@@ -173,7 +173,7 @@ def axes_of(conditions: Conditions) -> set[str]:
 
 
 def axis_named(name: str) -> Axis:
-    """Find an axis by its name in a report."""
+    """Find one of `AXES` by its name in a report, which must be there."""
     return next(axis for axis in AXES if axis.name == name)
 
 
@@ -200,7 +200,7 @@ class ResidualTerm(Cause):
         return (column,) if column else ()
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:
-        """All of the recorded power times 1 + the term."""
+        """All of the recorded power times 1 + amount x term."""
         change = 1.0 + amount * read_term(conditions, template.parameters)
         return replace(
             terms,
@@ -223,6 +223,8 @@ def read_term(conditions: Conditions, parameters: Mapping[str, Any]) -> Floats:
 
 def describe_term(conditions: Conditions, axis: str, coefficients: Mapping[str, Floats]) -> dict[str, Any] | None:
     """The parameters of a term along an axis of these data; None along the date, where nothing recurs.
+
+    They are `axis`, `by_polarisation`, and for a covariate `column` and `range`.
 
     Parameters
     ----------

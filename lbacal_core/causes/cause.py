@@ -105,7 +105,10 @@ class Conditions:
         return replace(self, covariates={**self.covariates, **values})
 
     def covariate(self, name: str) -> Floats | None:
-        """A covariate about its range, NaN where unknown; None where too few events know it, or it never varies."""
+        """A covariate as recorded, shape (event,), NaN where unknown.
+
+        None where too few events know it, or it never varies.
+        """
         values = self.covariates.get(name)
         if values is None:
             return None
@@ -374,7 +377,7 @@ class Cause(Description):
         return self.sizes
 
     def scale(self, terms: ChainTerms) -> float:  # noqa: ARG002
-        """What 1 of its range is in its unit."""
+        """Size in the unit of the cause that 1 in `sizes` stands for."""
         return 1.0
 
     def label(self, template: Template) -> str:
@@ -442,7 +445,10 @@ def signature(cause: Cause, terms: ChainTerms, conditions: Conditions, template:
 
 
 def spectral_signature(cause: Cause, terms: ChainTerms, conditions: Conditions, template: Template) -> Floats:
-    """Relative change of the power per unit of amount, as `signature`, which at size 0 is it times the time profile."""
+    """Relative change of the power per unit of amount, shape (class, event, freq).
+
+    At size 0 `signature` is this times the time profile.
+    """
     above = cause.act(terms, conditions, template, np.array(cause.step)).power()
     below = cause.act(terms, conditions, template, np.array(-cause.step)).power()
     return np.asarray((above - below) / (cause.step * (above + below)))

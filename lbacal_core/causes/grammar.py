@@ -602,7 +602,7 @@ class Sentence(Cause):
         return columns_of(_as_form(template.parameters["course"]))
 
     def time_profile(self, conditions: Conditions, template: Template) -> Floats:
-        """Its course."""
+        """Its course, shape (event, 1)."""
         return course_of(conditions, _as_form(template.parameters["course"]))[:, None]
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:
@@ -611,7 +611,10 @@ class Sentence(Cause):
         return PLACES[template.parameters["place"]].act(terms, conditions, change)
 
     def split_factor(self, conditions: Conditions, template: Template) -> tuple[Template, Floats]:
-        """The same place alike at all frequencies, and the law: recorded power is linear in what a place changes."""
+        """The same place alike at all frequencies, and the law, shape (freq,).
+
+        The recorded power is linear in what a place changes.
+        """
         place, law, course = parts_of(template)
         return sentence(place, ("flat",), course), law_of(conditions, law)
 
@@ -626,7 +629,7 @@ class Sentence(Cause):
         return in_words(template)
 
     def is_another(self, template: Template, earlier: Template) -> bool:
-        """Any other sentence."""
+        """Whether the sentences differ."""
         return parts_of(template) != parts_of(earlier)
 
     def spectral_key(self, template: Template) -> tuple[Any, ...]:

@@ -117,7 +117,7 @@ class AdoptedCause:
         return begins_before and (self.until_unix is None or self.until_unix > since_unix)
 
     def as_dict(self) -> dict[str, Any]:
-        """The content of its text."""
+        """The content of its text: these fields, `is_free` as `size_is`, the ends as `since` and `until`, ISO 8601."""
         named = {IN_WORDS if name == INSTANT else name: value for name, value in self.parameters.items()}
         if INSTANT in self.parameters:
             named[IN_WORDS] = write_instant(self.parameters[INSTANT])

@@ -52,7 +52,7 @@ class FilterShift(Cause):
         return () if "date_unix" in template.parameters else (TEMPERATURE,)
 
     def time_profile(self, conditions: Conditions, template: Template) -> Floats:
-        """Temperature, or 1 after the date."""
+        """Temperature about its mean, per 10 K, or 1 from the date on where the template has one, shape (event, 1)."""
         if "date_unix" in template.parameters:
             return conditions.after(template.parameters["date_unix"])
         return conditions.warmth()
@@ -64,7 +64,7 @@ class FilterShift(Cause):
         return [step_template(instant) for instant in conditions.dates_about(template.parameters["date_unix"])]
 
     def is_another(self, template: Template, earlier: Template) -> bool:
-        """Another date."""
+        """Whether the dates differ, or one follows temperature alone."""
         return bool(template.parameters.get("date_unix") != earlier.parameters.get("date_unix"))
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002

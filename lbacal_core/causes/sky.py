@@ -148,7 +148,10 @@ class LstOffset(Cause):
     sizes: SizeRange = SizeRange(-3.0, 3.0)
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
-        """P_sky at a later LST."""
+        """P_sky at a later LST.
+
+        The amount is in hours.
+        """
         return replace(terms, sky=conditions.later(terms.sky, np.ravel(amount)))
 
 
@@ -211,11 +214,14 @@ class PointSource(Cause):
         return [Template({"source": name}) for name in SOURCE_KEYS if name in conditions.sky_ratio]
 
     def is_another(self, template: Template, earlier: Template) -> bool:
-        """Another source."""
+        """Whether the sources differ."""
         return bool(template.parameters["source"] != earlier.parameters["source"])
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:
-        """P_sky plus a fraction of the source's flux through D."""
+        """P_sky plus a fraction of the source's flux through D.
+
+        The amount is that fraction.
+        """
         return replace(terms, sky=terms.sky * conditions.sky_ratio[template.parameters["source"]](amount))
 
 
@@ -230,7 +236,10 @@ class IsotropicLevel(Cause):
     sizes: SizeRange = SizeRange(-0.5, 10.0)
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
-        """P_sky plus a constant in LST."""
+        """P_sky plus a constant in LST.
+
+        The amount is a fraction of the mean P_sky at each frequency.
+        """
         return replace(terms, sky=terms.sky + amount * conditions.mean_sky[:, None, :])
 
 
@@ -254,11 +263,14 @@ class SolarEmission(Cause):
         return [Template({"spectral_index": index}) for index in (1.0, 1.5, 2.0)]
 
     def finer_templates(self, conditions: Conditions, template: Template) -> list[Template]:  # noqa: ARG002
-        """All of them."""
+        """All spectral indices, as `templates`."""
         return self.templates(conditions)
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:
-        """P_sky plus the Sun through D."""
+        """P_sky plus the Sun through D.
+
+        The amount is over the mean P_sky at 55 MHz, for the Sun overhead.
+        """
         ratio = conditions.frequency_mhz / 55.0
         flux = conditions.sky_at_55[:, None, None] * ratio ** template.parameters["spectral_index"]
         return replace(terms, sky=terms.sky + amount * flux * conditions.sun_response)
@@ -281,16 +293,19 @@ class IonosphericAbsorption(Cause):
         return [Template({"exponent": n}) for n in (0.5, 0.75, 1.0)] if conditions.has_day_and_night else []
 
     def finer_templates(self, conditions: Conditions, template: Template) -> list[Template]:  # noqa: ARG002
-        """All of them."""
+        """All exponents, as `templates`."""
         return self.templates(conditions)
 
     def time_profile(self, conditions: Conditions, template: Template) -> Floats:
-        """(cos chi)^n by day, 0 by night."""
+        """(cos chi)^n by day, 0 by night, shape (event, 1)."""
         cos_chi = np.maximum(np.sin(conditions.sun_altitude), 0.0)
         return np.asarray((cos_chi ** template.parameters["exponent"])[:, None])
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
-        """P_sky dimmed."""
+        """P_sky dimmed.
+
+        It is multiplied by exp(-amount (30 MHz / nu)^2).
+        """
         return replace(terms, sky=terms.sky * np.exp(-amount * (30.0 / conditions.frequency_mhz) ** 2))
 
 
@@ -310,7 +325,7 @@ class InterferenceCause(Cause):
     axes: Sequence[str] = ("utc",)
 
     def time_profile(self, conditions: Conditions, template: Template) -> Floats:
-        """1 within the hours."""
+        """1 within the hours of the template, else 0, shape (event, 1)."""
         return conditions.in_hours(*template.parameters["utc_h"])
 
     def finer_templates(self, conditions: Conditions, template: Template) -> list[Template]:  # noqa: ARG002
@@ -350,12 +365,12 @@ class RfiLine(InterferenceCause):
         ]
 
     def is_another(self, template: Template, earlier: Template) -> bool:
-        """Another line, clear of the first."""
+        """Whether it is a line that is clear of the first."""
         distance = abs(template.parameters["frequency_mhz"] - earlier.parameters["frequency_mhz"])
         return bool(distance > CLEAR_MHZ)
 
     def factor(self, conditions: Conditions, template: Template) -> Floats:
-        """The form of the line, 1 in its strongest channel."""
+        """The form of the line, 1 in its strongest channel, shape (freq,)."""
         distance = conditions.frequency_mhz - template.parameters["frequency_mhz"]
         line = np.exp(-4 * np.log(2.0) * (distance / template.parameters["width_mhz"]) ** 2)
         return np.asarray(line / line.max())
@@ -365,12 +380,15 @@ class RfiLine(InterferenceCause):
         return Template({**template.parameters, "width_mhz": np.inf})
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:
-        """Power added about a frequency, a Gaussian of the template's full width at half maximum."""
+        """Power added about a frequency, a Gaussian of the template's full width at half maximum.
+
+        The amount is over the mean power in the strongest channel.
+        """
         mean = terms.power().mean(axis=1, keepdims=True)
         return replace(terms, adc_noise=terms.adc_noise + amount * self.factor(conditions, template) * mean)
 
     def what_about(self, template: Template) -> list[dict[str, float]]:
-        """Between the channels, and other widths."""
+        """Frequencies between the channels, and other widths, MHz."""
         centre = template.parameters["frequency_mhz"]
         moved = [centre + 0.25 * k for k in range(-2, 3)]
         return [{"frequency_mhz": at, "width_mhz": width} for at in moved for width in (0.5, 1.0, 1.5, 2.0)]
@@ -401,7 +419,7 @@ class RfiBroadband(InterferenceCause):
         return replace(terms, sky=terms.sky + amount * added)
 
     def what_about(self, template: Template) -> list[dict[str, float]]:  # noqa: ARG002
-        """All indices, by halves."""
+        """All spectral indices from 0 to -4, by halves."""
         return [{"spectral_index": -0.5 * k} for k in range(9)]
 
 

@@ -82,7 +82,7 @@ class Budget:
         return np.asarray(vectors.T @ vectors)
 
     def as_dict(self) -> dict[str, Any]:
-        """Describe the budget as JSON values."""
+        """Describe the budget as JSON values (docs/formats/galcal.md)."""
         return {
             "frequency_mhz": self.frequency_mhz.tolist(),
             "terms": [
@@ -142,11 +142,11 @@ class CurveCovariance:
     common: Floats | None = None
 
     def with_own(self, vector: Floats) -> CurveCovariance:
-        """The same with one more systematic term of this curve alone."""
+        """The same with one more systematic term of this curve alone, one standard deviation of ln C, shape (freq,)."""
         return replace(self, own=np.concatenate([self.own, vector[None]]))
 
     def as_dict(self) -> dict[str, Any]:
-        """Describe the covariance as JSON values."""
+        """Describe the covariance as JSON values (docs/formats/galcal.md)."""
         shared = {} if self.common is None else {"common": _rows(self.common)}
         return {
             "statistical": {"factor": _rows(self.factor), "diagonal": _rows(self.diagonal[None])[0], **shared},

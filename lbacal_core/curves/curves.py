@@ -64,7 +64,7 @@ class Anomaly:
         return abs(math.log(self.factor))
 
     def as_dict(self) -> dict[str, Any]:
-        """Describe the anomaly as JSON values."""
+        """Describe the anomaly as JSON values, its fields and the `reason` in words."""
         return {**vars(self), "reason": self.reason}
 
 
@@ -84,7 +84,7 @@ class Anomalies:
         return cls(len(ranked) - fitted, fitted, tuple(ranked[:MOST_NAMED]))
 
     def as_dict(self) -> dict[str, Any]:
-        """Describe the anomalies as JSON values."""
+        """Describe the anomalies as JSON values: `left_out`, `fitted` and `worst`."""
         return {"left_out": self.left_out, "fitted": self.fitted, "worst": [one.as_dict() for one in self.worst]}
 
     def name_worst(self, count: int) -> str:
@@ -444,7 +444,7 @@ class FitReport:
         return max((curve.status for curve in self.curves), key=STATUSES.index)
 
     def as_dict(self) -> dict[str, Any]:
-        """Describe the content of fit.json."""
+        """Describe the content of fit.json (docs/formats/fit-report.md)."""
         return {
             "status": self.status,
             "curves": [{**curve.as_dict(), "reference": chain} for curve, chain in self._with_reference()],

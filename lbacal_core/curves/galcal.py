@@ -28,7 +28,7 @@ def name_path(curve: Mapping[str, Any]) -> str:
 
 
 def make_head(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Everything of an answer or of a fit report that is not a row, as JSON values."""
+    """Everything of an answer or of a fit report that is not a row, as JSON values (docs/formats/galcal.md)."""
     return {
         "format": FORMAT,
         "at": content.get("at"),

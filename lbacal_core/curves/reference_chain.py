@@ -65,7 +65,7 @@ class CableTable:
         return next((record.cable for record in records if record.covers(time_unix)), None)
 
     def as_dict(self) -> dict[str, Any]:
-        """Describe the table as JSON values."""
+        """Describe the table as JSON values: `cables`, `antennas` as station, number, cable, since, until (s UTC)."""
         return {
             "cables": {name: loss.tolist() for name, loss in self.cables.items()},
             "antennas": [[r.station, r.antenna, r.cable, r.since, r.until] for r in self.antennas],
@@ -138,7 +138,7 @@ class GainSpreads:
         return np.asarray(variance + 2.0 / self.stations * self.between_stations**2)
 
     def as_dict(self) -> dict[str, Any]:
-        """Describe the spreads as JSON values."""
+        """Describe the spreads as JSON values, its fields by name."""
         return {one.name: as_json(getattr(self, one.name)) for one in fields(self)}
 
     @cached_property
@@ -194,7 +194,7 @@ class ReferenceChain:
         return None if self.spreads is None else np.asarray(JENSEN * self.spreads.all_paths.spread**2)
 
     def as_dict(self) -> dict[str, Any]:
-        """The chain as JSON values; the cable table by its hash."""
+        """The chain as JSON values: `members`, `mean_cable_loss`, `jensen`, `cables` (a hash), `spreads`, `doubt`."""
         own = {"mean_cable_loss": self.mean_loss, "jensen": self.jensen, "cables": self.cables.digest}
         whole: dict[str, Any] = as_json({"members": self.members, **own, "spreads": self.spreads, "doubt": self.doubt})
         return whole

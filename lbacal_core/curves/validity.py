@@ -63,7 +63,7 @@ class Scope:
 
 
 def parse_scope(key: str) -> Scope:
-    """Parse a `Scope.key`."""
+    """Parse a `Scope.key`, such as ``CS002/17/X``."""
     station, antenna, dipole = [*key.split("/"), None, None][:3]
     return Scope(None if station == Scope().key else station, None if antenna is None else int(antenna), dipole)
 
@@ -100,7 +100,7 @@ class Stretch:
 
     @property
     def calibration(self) -> str | None:
-        """The version that answers, if any."""
+        """Hash of the version that answers; None where none does."""
         return self.promotion.calibration if self.promotion else None
 
 

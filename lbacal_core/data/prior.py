@@ -35,13 +35,13 @@ class Departure:
 
     @property
     def size(self) -> float:
-        """The number where there is one."""
+        """The one number of `sizes`, which must not be a series."""
         (size,) = self.sizes
         return size
 
 
 @cache
 def read_prior() -> dict[str, Departure]:
-    """Read the table by name (`lbacal_core/data/prior.toml`)."""
+    """Read the table of `lbacal_core/data/prior.toml`: every departure by its name."""
     rows = tomllib.loads((SHIPPED / "prior.toml").read_text(encoding="utf-8"))
     return {name: Departure(tuple(np.atleast_1d(row.pop("size")).tolist()), **row) for name, row in rows.items()}

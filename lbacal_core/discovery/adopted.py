@@ -75,7 +75,7 @@ class BoundedCause(Cause):
         return self.whole.covariates(template)
 
     def time_profile(self, conditions: Conditions, template: Template) -> Floats:
-        """0 outside the interval."""
+        """That of the cause within the interval, 0 outside, shape (event, 1)."""
         return self.whole.time_profile(conditions, template) * self.is_inside(conditions)[:, None]
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:
@@ -83,7 +83,7 @@ class BoundedCause(Cause):
         return self.whole.act(terms, conditions, template, amount)
 
     def known_events(self, conditions: Conditions, template: Template) -> NDArray[np.bool_]:
-        """Events outside the interval need no covariate."""
+        """Events with the covariates of the cause, or outside the interval, which need none, shape (event,)."""
         return np.asarray(self.whole.known_events(conditions, template) | ~self.is_inside(conditions))
 
 
@@ -137,7 +137,7 @@ class FittedSizes:
 
 
 def describe_size(size: FittedSize) -> dict[str, Any]:
-    """An adopted cause with its size in some data, as JSON values."""
+    """An adopted cause with its `size` in some data, and as `adopted` the one it was adopted with, as JSON values."""
     adopted = size.adopted
     return {
         **adopted.as_dict(),

@@ -71,7 +71,10 @@ class Comparison:
     typical: Floats
 
     def beside(self, departures: Floats, typical: Floats | None = None) -> Comparison:
-        """The same with departures left free beside those before, within typical amounts where these are given."""
+        """The same with departures left free beside those before, within typical amounts where these are given.
+
+        Shapes (departure, freq) and (departure,).
+        """
         typical = np.full(len(departures), np.inf) if typical is None else typical
         return replace(
             self,
@@ -168,7 +171,18 @@ class Comparison:
 
 
 def compare(number: int, log_slope: Floats, covariance: Floats, cable: NDArray[np.str_]) -> Comparison | None:
-    """One antenna against the weighted mean of the others of its cable name; None where there are none, or no fit."""
+    """One antenna against the weighted mean of the others of its cable name; None where there are none, or no fit.
+
+    Parameters
+    ----------
+    number
+        Row of the antenna, not its number on record.
+    log_slope, covariance
+        ln (A L_coax), shape (mean or half difference, antenna, freq), and its covariance, shape (antenna, freq, freq),
+        NaN where there is no fit.
+    cable
+        Cable name of each, shape (antenna,).
+    """
     is_fitted = np.all(np.isfinite(covariance), axis=(1, 2))
     others = np.flatnonzero((cable == cable[number]) & is_fitted & (np.arange(len(cable)) != number))
     if not is_fitted[number] or not others.size:

@@ -148,7 +148,7 @@ class CurveStation:
         return bool(bent <= SMALLEST_BEND * np.sum(change**2))
 
     def terms_with(self, choices: Sequence[Choice], sizes: Floats, noise: float) -> ChainTerms:
-        """The chain with noise over mean sky power, and causes at sizes, one after the other."""
+        """The chain with noise over mean sky power, and causes at sizes, shape (choice,), one after the other."""
         own = self.terms
         terms = replace(
             own, n_lna=noise * own.n_lna, receiver_noise=noise * own.receiver_noise, adc_noise=noise * own.adc_noise
@@ -271,7 +271,7 @@ class CurveFit:
 
     @property
     def per_point(self) -> dict[str, float]:
-        """Chi^2 per point with the estimated noise, and with the drawn bars."""
+        """Chi^2 per point with the noise `estimated`, and with the `drawn_bars`."""
         return {"estimated": self.chi2 / self.points, "drawn_bars": self.chi2_drawn / self.points}
 
     @property

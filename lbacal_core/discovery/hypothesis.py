@@ -80,7 +80,7 @@ class Rival:
         return float(np.exp(min(-0.5 * self.delta_chi2, np.log(1e300))))
 
     def as_dict(self) -> dict[str, Any]:
-        """The fields of a report."""
+        """The fields `cause`, `target`, `delta_chi2` and `odds` of a report."""
         return {"cause": self.cause, "target": self.target, "delta_chi2": self.delta_chi2, "odds": self.odds}
 
 

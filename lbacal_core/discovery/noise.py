@@ -55,7 +55,7 @@ class Kinds:
 
     @property
     def members(self) -> list[NDArray[np.int64]]:
-        """Events of each kind."""
+        """Numbers of the events of each kind, shape (event of the kind,)."""
         return [np.flatnonzero(self.of_event == kind) for kind in range(int(self.of_event.max()) + 1)]
 
     def beside_rain(self, amount: Floats) -> Floats:
@@ -548,6 +548,8 @@ def estimate_again(station: Station, residuals: Residuals, mean: Floats, sky: Fl
 
     Parameters
     ----------
+    mean
+        The other means, shape (polarisation, event, freq).
     sky
         What the sky that the means show leaves in the deviations, shape (class, event, freq); None for nothing.
     """

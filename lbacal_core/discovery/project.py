@@ -183,7 +183,10 @@ class LinearModel:
         return replace(self, residuals=replace(self.residuals, levels=levels))
 
     def with_residuals(self, mean: Floats, deviation: Floats) -> LinearModel:
-        """Other residuals of the same events, weighed alike."""
+        """The model with other residuals of the same events, weighed alike.
+
+        Shapes (polarisation, event, freq) and (path, event, freq).
+        """
         return replace(self, residuals=replace(self.residuals, mean=mean, deviation=deviation))
 
     def with_change(self, change: Floats) -> LinearModel:
@@ -243,13 +246,13 @@ class LinearModel:
 
     @cached_property
     def paths_in_mean(self) -> NDArray[np.int64]:
-        """Number of paths in the mean of each polarisation."""
+        """Number of paths in the mean of each polarisation, shape (polarisation,)."""
         polarisations, in_mean = self.residuals.polarisations, self.residuals.in_mean
         return np.array([np.sum(self.station.dipole[in_mean] == name) for name in polarisations])
 
     @cached_property
     def members(self) -> list[NDArray[np.int64]]:
-        """Paths of each class."""
+        """Rows of the paths of each class, shape (path of the class,)."""
         return [np.flatnonzero(self.station.class_of == c) for c in range(len(self.station.conditions.dipoles))]
 
     @cached_property
@@ -394,7 +397,10 @@ class LinearModel:
         return np.einsum("dc,cef->def", share, slope), np.einsum("dc,jcef->jdef", share, constants)
 
     def mean_of(self, values: Floats, is_member: NDArray[np.bool_]) -> Floats:
-        """Change of the means by an effect on some paths, (..., class, event, freq) -> (..., polarisation, ...)."""
+        """Change of the means by an effect on some, (..., class, event, freq) -> (..., polarisation, event, freq).
+
+        `is_member` marks the paths with the effect, shape (path,).
+        """
         polarisations = len(self.residuals.polarisations)
         mean = np.zeros((*values.shape[:-3], polarisations, *values.shape[-2:]), dtype=values.dtype)
         for c, share in enumerate(self.share_of_mean(is_member)):
@@ -408,7 +414,7 @@ class LinearModel:
         return np.asarray(counts / self.paths_in_mean[self.polarisation_of])
 
     def shows_in_means_alone(self, is_member: NDArray[np.bool_]) -> bool:
-        """Whether the deviations of the paths say nothing about an effect on these paths."""
+        """Whether the deviations of the paths say nothing about an effect on the paths marked, shape (path,)."""
         return self.modes is not None and bool(np.all(is_member))
 
     def share_of_deviation(self, is_member: NDArray[np.bool_]) -> Floats:

@@ -241,7 +241,10 @@ def _has_run_away(station: Station, baseline: Baseline, hypotheses: Sequence[Hyp
 
 
 def can_be_told_apart(information: Floats) -> bool:
-    """Whether the data hold information on every hypothesis, and none is a combination of the others."""
+    """Whether the data hold information on every hypothesis, and none is a combination of the others.
+
+    `information` has the shape (hypothesis, hypothesis).
+    """
     seen = np.diag(information)
     if not np.all(np.isfinite(information)) or np.any(seen <= 0):
         return False
@@ -250,7 +253,10 @@ def can_be_told_apart(information: Floats) -> bool:
 
 
 def held_out_fold(station: Station) -> NDArray[np.int64]:
-    """Fold of each event: blocks of date and of 2 h of LST, because neighbouring events share conditions."""
+    """Number of the fold of each event, shape (event,).
+
+    Folds are blocks of date and of 2 h of LST, because neighbouring events share conditions.
+    """
     order = np.argsort(np.argsort(station.conditions.time_unix))
     date_block = order * DATE_BLOCKS // order.size
     lst_block = (station.conditions.lst_hours // (24 / LST_BLOCKS)).astype(int)

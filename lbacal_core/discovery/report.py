@@ -90,7 +90,10 @@ def describe_station(report: StationReport) -> StationContent:
 
 
 def join(described: Sequence[StationContent], provenance: Provenance) -> dict[str, Any]:
-    """The report of all stations as JSON values; the fields of the whole are the union of those of the stations."""
+    """The report of all stations as JSON values; the fields of the whole are the union of those of the stations.
+
+    docs/formats/investigation-report.md names them.
+    """
     found = [(finding, one.station["station"]) for one in described for finding in one.findings]
     found.sort(key=lambda pair: -pair[0]["significance_sigma"])
     stations: list[dict[str, Any]] = [
@@ -265,7 +268,7 @@ def tell_finding(
     sentence: str,
     evidence: dict[str, Any],
 ) -> dict[str, Any]:
-    """The fields of a finding, in spectra and in LST curves.
+    """The fields of a finding, in spectra and in LST curves (docs/formats/investigation-report.md).
 
     Parameters
     ----------
@@ -293,7 +296,10 @@ def tell_finding(
 def tell_gain(
     before: float, after: float, dof: int, held_out: float | None = None, events: int | None = None
 ) -> dict[str, Any]:
-    """The gain of a finding in chi^2 and on held-out events; null where nothing was held out."""
+    """The gain of a finding in chi^2, `before` and `after`, and in log-likelihood on `events` held out.
+
+    Both of these are null where nothing was held out.
+    """
     return {
         "chi2_before": before,
         "chi2_after": after,
@@ -461,7 +467,7 @@ def _term(structure: ResidualStructure, report: StationReport) -> dict[str, Any]
 
 
 def plain_parameters(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Parameters as JSON values, an instant also in words."""
+    """Parameters as JSON values, an instant `date_unix` also in words as `date`."""
     values = {key: value.item() if isinstance(value, np.generic) else value for key, value in parameters.items()}
     if "date_unix" in values:
         values["date"] = f"{datetime.fromtimestamp(values['date_unix'], UTC):%Y-%m-%dT%H:%MZ}"
@@ -511,7 +517,7 @@ class Search:
             return put_into_words(report, self.seed)
 
     def join(self, described: Sequence[StationContent]) -> dict[str, Any]:
-        """The report of all stations as JSON values."""
+        """The report of all stations as JSON values (docs/formats/investigation-report.md)."""
         content, model = join(described, self.provenance), self.simulation.causes
         if model.is_plain:
             return content

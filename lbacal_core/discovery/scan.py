@@ -164,7 +164,7 @@ def correlate(model: LinearModel, families: Sequence[SpectralFamily], target: Ta
 def overlap(
     model: LinearModel, cause: Cause, template: Template, target: Target, others: Sequence[SpectralFamily]
 ) -> list[Floats]:
-    """Correlations of one template with all templates of each of some families, as in `correlate`.
+    """Correlations of one template with all of each of some families, as in `correlate`, shape (template,) each.
 
     They are scores: the one template stands in the place of the residuals.
     """
@@ -355,7 +355,7 @@ class Score:
 
 
 def scan(model: LinearModel, causes: Sequence[Cause], targets: Sequence[Target], seed: int = 0) -> list[Score]:
-    """The best score of each cause, most significant first."""
+    """The best score of each cause, most significant first; a cause without a template for these data has none."""
     families = list_families(model.station.conditions, causes)
     best: dict[str, Score] = {}
     trials: dict[str, float] = {}

@@ -328,6 +328,8 @@ class View(FreeVectors):
 
         Parameters
         ----------
+        profiles
+            Shape (profile, event).
         other
             What stands in the place of e, weighed as `weighted_residual` is.
         """

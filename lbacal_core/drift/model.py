@@ -87,8 +87,12 @@ def month_columns(
     ----------
     smooth
         Shape (month, 6).
+    time_unix
+        Shape (event,), rising.
     is_known
         Whether a series has a value at an event, shape (series, event).
+    starts
+        Number of the first event of each month, shape (month,), as `drift.events.find_months` gives it.
     """
     series, steps = terms.dates.shape
     columns = np.zeros((series, len(smooth), STEPS + steps))
@@ -166,7 +170,10 @@ def chi_square(whitener: Floats, size: Floats, variance: Floats) -> Floats:
 
 
 def find_significance(chi2: Floats, modes: int) -> Floats:
-    """Standard deviations of a normal with the same probability on both sides; a very large chi-square's root."""
+    """Standard deviations of a normal with the probability of chi-squares of `modes` degrees of freedom, shape kept.
+
+    Both sides of the normal count; of a very large chi-square it is the root.
+    """
     p = scipy.special.chdtrc(modes, chi2)
     return np.asarray(np.where(p > _SMALLEST_P, -scipy.special.ndtri(np.maximum(p, _SMALLEST_P) / 2.0), np.sqrt(chi2)))
 
@@ -278,11 +285,13 @@ def estimate_lasting(
     y
         Shape (series, month), in units of the event noise, 0 where unknown.
     events
-        Shape (series, month).
+        How many events each month has, shape (series, month).
     smooth
         Offset, season and slope at the months, shape (month, 6).
     scale
         The event noise, shape (series,).
+    months
+        Shape (month,).
     more
         One more column of each series that is no noise, shape (series, month); zeros where there is none.
     """
@@ -344,7 +353,10 @@ def median_of_members(values: NDArray[np.float32]) -> tuple[NDArray[np.float32],
 
 
 def median_over(values: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
-    """Median of the known values along an axis, NaN where there is none; some times faster than `nanmedian`."""
+    """Median of the known values along an axis, which the shape loses, NaN where there is none.
+
+    Some times faster than `nanmedian`.
+    """
     ordered = np.sort(np.moveaxis(values, axis, -1), axis=-1)  # NaN last
     count = np.isfinite(ordered).sum(axis=-1, keepdims=True)
     upper, lower = np.minimum(count // 2, values.shape[axis] - 1), np.maximum((count - 1) // 2, 0)
@@ -493,7 +505,7 @@ class SeriesModel:
         return month_columns(self.smooth_months, terms, self.series.time_unix, self.is_known[rows], self.starts)
 
     def fit_terms(self, rows: NDArray[np.int64]) -> None:
-        """Fit some series, and keep their results."""
+        """Fit the series of some rows, and keep their results."""
         for some in share_out(rows):
             fit = fit_terms(self.y[:, some], self.inverse[:, some], self.columns(some), self.scale[:, some])
             for name in ("theta", "covariance", "weighted_residual"):

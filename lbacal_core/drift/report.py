@@ -119,7 +119,11 @@ SILENT_EVENTS = 20
 
 
 def describe_followed(history: History, followed: Followed, frequency_mhz: Floats) -> dict[str, Any]:
-    """Everything, fractions of C and their change a year."""
+    """The report of the watch as JSON values, fractions of C and their change a year.
+
+    Keys are `threshold_sigma`, `first_unix`, `last_unix`, `changes`, `slopes`, `trends` (by station and ``array``) and
+    `silent`.
+    """
     owners = list(zip(history.station.tolist(), history.antenna.tolist(), history.dipole.tolist(), strict=True))
     slopes = _slopes(followed.paths, owners)
     if followed.stations is not None:

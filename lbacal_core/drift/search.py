@@ -138,6 +138,8 @@ def search_series(series: Series, known_unix: Floats | None = None, false_alarms
     known_unix
         Dates at which the hardware of a series changed, shape (series, change), infinite where there is none: steps
         whose size is free and that are not reported.
+    false_alarms
+        Share of all searches that find something by chance.
     """
     search = _Search(series, known_unix, false_alarms)
     search.fit()  # before it, the season counts as noise of events

@@ -149,7 +149,7 @@ class Instrument:
         return tuple(sorted(self.dipole_azimuth_deg))
 
     def tilt_deg(self, dipole: str) -> float:
-        """Tilt of an arm, 0 where none is given."""
+        """Tilt of an arm, deg, 0 where none is given."""
         return self.dipole_tilt_deg.get(dipole, 0.0)
 
     def at_station(self, station: str | None) -> Instrument:

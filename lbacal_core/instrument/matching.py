@@ -76,7 +76,10 @@ def require_passive(impedance: Impedance, place: str) -> Impedance:
 
 
 def interpolate_impedance(nu: Floats, impedance: Impedance, frequency_mhz: Floats, place: str) -> Impedance:
-    """Impedances of a table on the channels, which it must cover: S11 to 50 ohm is linear between its rows."""
+    """Impedances of a table, shape (row,), ohm, on the channels, shape (freq,), which it must cover.
+
+    S11 to 50 ohm is linear between its rows.
+    """
     s11 = (impedance - RESISTANCE_OHM) / (impedance + RESISTANCE_OHM)
     found = 1j * interpolate(nu, s11.imag, frequency_mhz, place)
     found += interpolate(nu, s11.real, frequency_mhz, place)
@@ -84,7 +87,7 @@ def interpolate_impedance(nu: Floats, impedance: Impedance, frequency_mhz: Float
 
 
 def read_impedance(path: Path, frequency_mhz: Floats) -> Impedance:
-    """Read the impedance of a Touchstone file of one port or two, from S11, on the channels."""
+    """Read the impedance of a Touchstone file of one port or two, from S11, on the channels, shape (freq,), ohm."""
     nu, s, reference = read_touchstone(path)
     s11 = s[:, 0, 0]
     if np.any(np.abs(s11) >= 1.0):

@@ -260,7 +260,7 @@ class DipoleComparison:
 
     @property
     def rms_db(self) -> float:
-        """Root mean square of the residuals."""
+        """Root mean square of the residuals, dB."""
         return float(np.sqrt(np.nanmean(self.residual_db**2)))
 
     def as_dict(self) -> dict[str, Any]:
@@ -290,12 +290,12 @@ class Comparison:
     provenance: Provenance
 
     def of(self, dipole: str, *, has_noise: bool, weights: str = AS_RECORDED) -> DipoleComparison:
-        """Find the comparison of one dipole."""
+        """Find the comparison of one dipole, ``X`` or ``Y``, with one of `WEIGHTS`, and with or without noise."""
         wanted = (dipole, has_noise, weights)
         return next(one for one in self.dipoles if (one.dipole, one.has_noise, one.weights) == wanted)
 
     def as_dict(self) -> dict[str, Any]:
-        """Describe the content of the report."""
+        """Describe the content of the report as JSON values."""
         return {
             "points": sum(int(self.curve.has_point(dipole).sum()) for dipole in DIPOLES),
             "band_mhz": list(self.band_mhz),
@@ -380,7 +380,7 @@ def simulate_band_power(sky_power: SkyPower, dipole: str, lst_hours: Floats, wei
 
 
 def in_db(relative_sky: Floats, noise_share: float) -> Floats:
-    """Total power in dB, same shape, when a constant part of it is noise; the mean over LST is the reference."""
+    """Total power in dB over its mean over LST, same shape, where a constant share of that mean is noise."""
     return np.asarray(10.0 * np.log10((1.0 - noise_share) * relative_sky + noise_share))
 
 

@@ -148,7 +148,7 @@ def _number(text: str | None, place: str, expected: str = "a number") -> float:
 
 
 def parse_time(text: str, path: Path) -> float:
-    """Seconds since 1970 of an ISO 8601 instant, UTC unless it says otherwise; or of such a number."""
+    """Seconds since 1970 of an ISO 8601 instant, UTC unless it says otherwise; `path` is for messages."""
     try:
         instant = datetime.fromisoformat(text)
     except ValueError as error:

@@ -206,7 +206,7 @@ class SkyPrior:
         return _series_of(self.modes[dipole])
 
     def search_series(self, dipole: str) -> Floats:
-        """The same where something is looked for that must not come from a sky that is more wrong than models are."""
+        """As `series`, with the waves of searches: no find may come from a sky that is more wrong than models are."""
         if self.waves is None:
             return self.series(dipole)
         beyond = (read_prior()["widening"].size ** 2 - 1.0) ** 0.5

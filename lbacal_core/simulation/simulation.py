@@ -136,7 +136,7 @@ class Simulation:
 
     @property
     def digest(self) -> str:
-        """Hash of all that predicts power."""
+        """Hash of instrument, sky power, causes and whatever else predicts power."""
         return hash_content(
             [self.instrument.digest(), self.sky_power.digest(), self.is_own_sky, self.causes.id, self.form]
         )

@@ -210,7 +210,7 @@ def _tilts(instrument: Instrument) -> set[float]:
 def list_patterns(
     instrument: Instrument, models: DifferenceModels, frequency_mhz: Floats, lmax: int, tilt_deg: float
 ) -> tuple[Complexes, list[Complexes]]:
-    """The pattern of the instrument's antenna, and those that it is exchanged for.
+    """The pattern of the instrument's antenna, and those that it is exchanged for, shape (freq, l, m') each.
 
     LOFAR's antenna has several models; any other is exchanged for one with more gain at zenith at fixed total power.
     """

@@ -82,7 +82,10 @@ def make_pygdsm_model(name: str) -> SkyModel:
 def model_of_maps(
     name: str, frequency_mhz: Floats, multipoles: Complexes, has_cmb: bool, has_isotropic: bool, origin: str
 ) -> SkyModel:
-    """Model that interpolates between maps at several frequencies, or carries a single one with a power law."""
+    """Model that interpolates between maps at several frequencies, or carries a single one with a power law.
+
+    `multipoles` are brightness, shape (map, l, m), K.
+    """
     level = multipoles[:, 0, 0].real / np.sqrt(4 * np.pi)
     if np.any(level <= 0):
         raise BadInputError(f"sky {name}", "maps with a positive mean brightness", f"{level.min():g} K")

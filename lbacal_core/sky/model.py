@@ -205,7 +205,7 @@ class SkyModel:
         return np.asarray(total)
 
     def changed(self, scale: float = 1.0, spectral_index: float = 0.0, extra_isotropic: float = 0.0) -> SkyModel:
-        """The model times `scale` (nu / 60 MHz)^-spectral_index, with isotropic brightness added."""
+        """The model times `scale` (nu / 60 MHz)^-spectral_index, with `extra_isotropic` added."""
         if not scale > 0:
             raise BadInputError("scale", "a factor > 0", f"{scale}")
         changes = (("scale", scale, 1.0), ("index", spectral_index, 0.0), ("isotropic", extra_isotropic, 0.0))

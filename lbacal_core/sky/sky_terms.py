@@ -50,7 +50,7 @@ def dipole_temperature(
     lst_hours: Floats,
     arm: float = 0.0,
 ) -> Floats:
-    """Brightness averaged over the response of a dipole, shape (lst, freq), K."""
+    """Brightness averaged over the response of a dipole with its arm at azimuth `arm`, deg, shape (lst, freq), K."""
     beam = beam_multipoles(antenna, frequency_mhz, sky.lmax)
     seen = beam_on_equator(beam, arm, latitude_deg)
     modes = np.einsum("flm,flm->mf", precess_multipoles(extended_temperature(sky, frequency_mhz), DATA_EPOCH), seen)
@@ -65,7 +65,10 @@ def mean_temperature(sky: SkyModel, antenna: AntennaModel, frequency_mhz: Floats
 
 
 def extended_temperature(sky: SkyModel, frequency_mhz: Floats) -> Any:
-    """Multipoles of the brightness; above the range of the model a power law with the index at its end."""
+    """Multipoles of the brightness, shape (freq, l, m), K.
+
+    Above the range of the model a power law with the index at its end.
+    """
     low, end = sky.frequency_mhz[-2:]
     inside = sky.temperature(np.minimum(frequency_mhz, end))
     first, last = sky.temperature(np.array([low, end]))[:, 0, 0].real

@@ -205,7 +205,7 @@ class MadeFor:
         return ", ".join(words)
 
     def as_dict(self) -> dict[str, Any]:
-        """The fields of a sky power file."""
+        """The fields of a sky power file (docs/formats/sky-power.md) that are known."""
         named = {"instrument": self.instrument, "sky": self.sky, "antenna": self.antenna}
         dipoles = {dipole: {"azimuth_deg": azimuth} for dipole, azimuth in self.dipole_azimuth_deg.items()}
         more = {"dipoles": dipoles, "hashes": dict(self.hashes), "versions": dict(self.versions)}
@@ -373,7 +373,7 @@ class SkyPower:
         return replace(self, power=power, stations=stations).of_inputs(hash_content([self.digest(), hours]))
 
     def as_dict(self) -> dict[str, Any]:
-        """The content of a sky power file."""
+        """The content of a sky power file (docs/formats/sky-power.md)."""
         return {
             "frequency_mhz": self.frequency_mhz.tolist(),
             "lst_hours": self.lst_hours.tolist(),

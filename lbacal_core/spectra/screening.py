@@ -180,7 +180,7 @@ def _compare_with_usual(block: SpectraBlock, longitude_deg: float) -> tuple[Floa
 
 
 def leave_out(block: SpectraBlock, is_left_out: NDArray[np.bool_]) -> SpectraBlock:
-    """Leave some spectra out of the block."""
+    """Leave some spectra, marked in shape (path, event), out of the block."""
     if not np.any(is_left_out):
         return block
     return replace(
@@ -245,8 +245,8 @@ def predict_daily_variation(
 
     Parameters
     ----------
-    level
-        ln of power, shape (path, event); any finite number where absent.
+    level, is_present
+        ln of power, shape (path, event), any finite number where absent; and where it is there.
 
     Returns
     -------

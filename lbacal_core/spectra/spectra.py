@@ -191,7 +191,7 @@ class Spectra:
         return len(self.event_id)
 
     def select(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> Spectra:
-        """The spectra of some rows, in that order."""
+        """The spectra of some rows, given by their numbers, in that order, or by a mask of shape (row,)."""
         return Spectra(
             self.frequency_mhz,
             self.power[rows],
@@ -441,8 +441,8 @@ def write_spectra(spectra: Spectra, file: Path | IO[bytes]) -> None:
 def join_spectra(parts: Sequence[Spectra]) -> Spectra:
     """Join spectra of one experiment, such as one file a month.
 
-    A spectrum that stands in two files is taken once if it is the same in both, and is an error if it is not. A
-    covariate that a file lacks is unknown there.
+    A spectrum that stands in two files is taken once if it is the same in both, and a `BadInputError` if it is not, as
+    other channels are. A covariate that a file lacks is unknown there.
     """
     if len(parts) == 1:
         return parts[0]

@@ -80,7 +80,7 @@ def _number(text: str | None, place: str) -> float:
 
 
 def record_background(event: StationEvent, background: PathBackground, settings: CleaningSettings) -> dict[str, Any]:
-    """Everything worth keeping of one path in one event, as JSON values."""
+    """The record of one path in one event, its power included, as JSON values (docs/formats/raw-traces.md)."""
     reference = background.reference
     low = settings.frequency_mhz[0] - settings.width_mhz / 2
     high = settings.frequency_mhz[-1] + settings.width_mhz / 2

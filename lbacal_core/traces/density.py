@@ -299,7 +299,8 @@ def _threshold(averages: float, box: int) -> float:
 def find_station_excess(ratios: Floats, averages: float) -> Flags:
     """Flag channels in which the mean over a station's traces exceeds its noise, shape (trace, fine) to (fine,).
 
-    Traces share the sky, so their noise is not quite independent: its level is measured where it exceeds theory.
+    Ratios are power over baseline, `averages` the independent spectra in each. Traces share the sky, so their noise is
+    not quite independent: its level is measured where it exceeds theory.
     """
     mean = np.mean(ratios, axis=0)
     theory = averages * len(ratios)
@@ -347,7 +348,7 @@ def line_leakage(is_line: Flags, excess: Floats, factor: int, channels: int) -> 
     excess
         Shape (fine,), power over the baseline, minus 1.
     factor
-        Fine channels in a coarse one.
+        Fine channels in a coarse one: coarse channel j has its centre at the fine channel j x factor.
     channels
         Number of coarse channels.
     """

@@ -69,12 +69,12 @@ class BlockSelection:
 
     @property
     def rms(self) -> float:
-        """Root mean square of the background, ADC."""
+        """Root mean square of the background, ADC units."""
         return float(np.sqrt(np.mean(self.mean_square[self.is_background]))) if np.any(self.is_background) else 0.0
 
     @property
     def spread(self) -> float:
-        """Standard deviation of the background, ADC."""
+        """Standard deviation of the background, ADC units."""
         if not np.any(self.is_background):
             return 0.0
         mean = float(np.mean(self.mean[self.is_background]))

@@ -113,7 +113,7 @@ class TraceReference:
 
     @property
     def time_unix(self) -> float:
-        """Instant of the first sample, s UTC."""
+        """Instant of the first sample, s since 1970, UTC."""
         return self.start_s + self.start_sample / self.sample_rate_hz
 
     @property

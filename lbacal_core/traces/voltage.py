@@ -133,7 +133,7 @@ def relative_errors(curve: CalibrationCurve, budget: Budget | None = None) -> li
 
 
 def statistical_errors(curve: CalibrationCurve) -> list[Floats]:
-    """The errors of `relative_errors` that come from the noise of the data."""
+    """The errors of `relative_errors` that come from the noise of the data, shape (freq,) each."""
     covariance = curve.covariance
     if covariance is None:
         return _whole_error(curve, curve.c_sigma_stat)
@@ -143,7 +143,7 @@ def statistical_errors(curve: CalibrationCurve) -> list[Floats]:
 
 
 def systematic_errors(curve: CalibrationCurve, budget: Budget | None = None) -> list[Floats]:
-    """The errors of `relative_errors` that come from the models of the simulation."""
+    """The errors of `relative_errors` that come from the models of the simulation, shape (freq,) each."""
     if curve.covariance is None or budget is None:
         return _whole_error(curve, curve.c_sigma_sys)
     return [*curve.covariance.own, *budget.vectors(str(curve.dipole))]

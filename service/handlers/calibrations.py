@@ -232,7 +232,7 @@ def _keeping(*ids: str) -> str:
 
 
 def describe_version_rows(version: Version) -> dict[str, Any]:
-    """The converged curves of a version in the shape of an answer to "in effect at"."""
+    """The converged curves of a version as an answer to "in effect at": `at`, `as_of`, `curves`."""
     window = answers.describe_stretch(version.since, version.until)
     more = {"calibration": version.id, "answered_by": version.scope.level, "valid": window, "held": False}
     curves = [
@@ -244,7 +244,7 @@ def describe_version_rows(version: Version) -> dict[str, Any]:
 
 
 def describe_diff(first: Version, second: Version) -> dict[str, Any]:
-    """The difference of two versions: their curves by dipole, and the inputs that are not the same."""
+    """The difference of two versions as `DiffAnswer`: their curves by dipole, and the inputs that are not the same."""
     curves = [fill_answer(wire.DiffCurve, change, dipole=dipole) for dipole, change in compare_versions(first, second)]
     names = sorted({*first.inputs, *second.inputs})
     inputs = {

@@ -61,7 +61,7 @@ def get_drift(
 
 
 def describe_series(series: DriftSeries) -> dict[str, Any]:
-    """Drift as JSON values."""
+    """Drift of a path as JSON values of `DriftAnswer`."""
     return fill_answer(
         wire.DriftAnswer, series,
         versions=[fill_answer(wire.DriftVersion, one, dipole=one.dipole or None) for one in series.versions],
@@ -72,14 +72,14 @@ def describe_series(series: DriftSeries) -> dict[str, Any]:
 
 
 def describe_month(point: MonthPoint) -> dict[str, Any]:
-    """Describe a month as JSON values."""
+    """Describe a month as JSON values of `DriftMonth`."""
     shape = dict(zip(("tilt", "curvature"), point.shape, strict=True))
     line = dict(zip(("line", "line_low", "line_high"), point.line or (None, None, None), strict=True))
     return fill_answer(wire.DriftMonth, point, month=format_instant(point.month)[:7], **shape, **line)
 
 
 def describe_step(step: Step) -> dict[str, Any]:
-    """A change and the version in effect then, as JSON values."""
+    """A change and the version in effect then, as JSON values of `DriftStep`."""
     told = step.change
     first, last = (format_instant(round(told[f"{end}_unix"] * SECOND_US)) for end in ("earliest", "latest"))
     date = format_instant(step.date)[:10]
@@ -87,7 +87,7 @@ def describe_step(step: Step) -> dict[str, Any]:
 
 
 def describe_slope(slope: Mapping[str, Any]) -> dict[str, Any]:
-    """A slope as JSON values: that of a path beside its station, or that of C itself."""
+    """A slope as JSON values of `DriftSlope`: that of a path beside its station, or that of C itself."""
     is_own = "significance" in slope
     return {
         **{name: slope.get(name) for name in wire.DriftSlope.model_fields},
@@ -136,7 +136,7 @@ def acknowledge_alarm(request: Request, use: UseCases, number: JobNumber, caller
 
 
 def describe_alarm(alarm: Alarm, now: Instant) -> dict[str, Any]:
-    """Describe an alarm as JSON values."""
+    """Describe an alarm as JSON values of `AlarmAnswer`; `now` decides on its state."""
     news, known = alarm.news, alarm.acknowledgement
     return fill_answer(
         wire.AlarmAnswer, alarm, news, alarm=alarm.number, state=alarm.state_at(now),
@@ -216,7 +216,7 @@ def decide_change(
 
 
 def describe_change(kept: KeptChange, use: Factory) -> dict[str, Any]:
-    """Describe a change as JSON values."""
+    """Describe a change as JSON values of `PathChangeAnswer`."""
     change, said, first = kept.change, kept.said, kept.evidence[0]
     paths = [{"station": change.station, "antenna": antenna, "dipole": dipole} for antenna, dipole in change.paths]
     of_c = None if change.size is None else {"value": change.size, "sigma": change.size_sigma or 0.0}

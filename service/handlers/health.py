@@ -70,7 +70,7 @@ def get_metrics(request: Request, use: UseCases) -> Response:
 
 
 def describe_status(state: State, news: list[StationNews], stopped: list[str], waiting: list[str]) -> dict[str, Any]:
-    """Describe the status of the service as JSON values."""
+    """Describe the status of the service as JSON values of `StatusAnswer`."""
     processes = [fill_answer(wire.ProcessAnswer, one, silent_s=one.silent_us / 1e6) for one in state.processes]
     return fill_answer(
         wire.StatusAnswer, state, ready=state.problem is None, processes=processes,
@@ -80,12 +80,15 @@ def describe_status(state: State, news: list[StationNews], stopped: list[str], w
 
 
 def describe_news(news: StationNews) -> dict[str, Any]:
-    """The newest investigation of a station, and what is new in it, as JSON values."""
+    """The newest investigation of a station, and what is new in it, as JSON values of `NewsAnswer`."""
     return fill_answer(wire.NewsAnswer, news, **describe_investigation(news.newest))
 
 
 def describe_failure(failure: Failure) -> dict[str, Any]:
-    """A job that failed, and when it is tried again; null where nobody will unless it is asked for."""
+    """A job that failed as JSON values of `FailureAnswer`.
+
+    It is tried again at `again_after`, null where nobody will unless it is asked for.
+    """
     again, failed = (failure.tries.again, failure.tries.failed) if failure.tries else (None, 1)
     error, of_job = "; ".join(failure.job.errors), {"job": failure.job.number, "tries": failed}
     return fill_answer(wire.FailureAnswer, failure.job, error=error, again_after=format_optional(again), **of_job)

@@ -81,7 +81,7 @@ def cancel_job(
 
 
 def describe_job(job: Job) -> dict[str, Any]:
-    """Describe a job as JSON values."""
+    """Describe a job as JSON values of `JobAnswer`."""
     listed = {
         name: [one for result in job.results for one in result.get(name, [])]
         for name in ("calibrations", "promoted", "results")

@@ -108,17 +108,17 @@ def _execute(
 
 
 def describe_promoted(_plan: Plan, made: Sequence[Promotion], changes: Sequence[Change]) -> dict[str, Any]:
-    """Describe the changes by one promotion; with itself where it was made."""
+    """Describe the `changes` by one promotion, with the fields of `PromotionLine` where it was made."""
     return {**(describe_promotion(made[0]) if made else {}), "changes": describe_changes(changes)}
 
 
 def describe_act(plan: Plan, made: Sequence[Promotion], changes: Sequence[Change]) -> dict[str, Any]:
-    """Describe the changes by promotions that are one act; with the promotions where they were made."""
+    """Describe promotions that are one act: `changes`, `promotions` (empty before they are made), `left_out`."""
     promotions = [describe_promotion(promotion) for promotion in made]
     return {"changes": describe_changes(changes), "promotions": promotions, "left_out": dict(plan.left_out)}
 
 
 def describe_changes(changes: Sequence[Change]) -> list[dict[str, Any]]:
-    """Describe the changes by promotions, path by path."""
+    """Describe the changes by promotions, path by path, as JSON values of `ChangeAnswer`."""
     unknown = dict.fromkeys(("max_fraction", "max_sigma", "mean_c"))
     return [fill_answer(ChangeAnswer, one, one.curve_change or unknown, **describe_scope(one.path)) for one in changes]

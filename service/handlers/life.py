@@ -65,7 +65,7 @@ def get_bad_antennas(request: Request, use: UseCases, at: str | None = None, sta
 
 
 def describe_life(life: Life, use: Factory) -> dict[str, Any]:
-    """Describe a life as JSON values."""
+    """Describe a life as JSON values of `LifeAnswer`."""
     return {
         "epochs": [fill_answer(EpochAnswer, one) for one in life.epochs],
         "in_effect": [

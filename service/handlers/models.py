@@ -85,13 +85,13 @@ def withdraw_model(request: Request, use: UseCases, order: Reasoned, name: InPat
 
 
 def describe_plan(plan: Adoption) -> dict[str, Any]:
-    """Describe the changes by an adoption as JSON values."""
+    """Describe the changes by an adoption as JSON values: `model`, `cause` in a sentence, `promise`, `changes`."""
     told = {"model": plan.model.id, "cause": plan.cause.sentence, "promise": list(plan.change.promise or ())}
     return {**told, "changes": describe_changes(plan.changes)}
 
 
 def describe_model(one: AdoptedModel) -> dict[str, Any]:
-    """A line of the ledger of models as JSON values."""
+    """A line of the ledger of models as JSON values of `ModelLine`."""
     causes = [describe_cause(cause, one.gains.get(Model((cause,)).id, ())) for cause in one.model.causes]
     return fill_answer(
         wire.ModelLine, one.change, one, id=one.change.model, changed=one.changed.sentence, causes=causes
@@ -99,7 +99,7 @@ def describe_model(one: AdoptedModel) -> dict[str, Any]:
 
 
 def describe_cause(cause: AdoptedCause, gains: Sequence[Gain]) -> dict[str, Any]:
-    """An adopted cause as JSON values, with what it gained as `gains`."""
+    """An adopted cause as JSON values of `AdoptedCauseAnswer`, with what it gained as `gains`."""
     content = cause.as_dict()
     gained = [fill_answer(wire.GainAnswer, one, log_likelihood_gain=one.gain) for one in gains]
     named = {name: content[name] for name in ("cause", "target", "parameters", "size", "sigma", "since", "until")}
@@ -151,6 +151,6 @@ def get_investigation(request: Request, use: UseCases, name: InPath) -> Response
 
 
 def describe_investigation(one: Investigation) -> dict[str, Any]:
-    """An investigation without its report, as JSON values."""
+    """An investigation without its report, as JSON values of `InvestigationLine`."""
     findings = [finding["cause"] for finding in one.report["findings"]]
     return fill_answer(wire.InvestigationLine, one, verdict=one.report["verdict"], findings=findings)

@@ -132,7 +132,7 @@ def _as_bytes(content: Any) -> bytes:
 
 
 def ordered(body: type[AnyBody], scope: str) -> Any:
-    """A dependency that yields the order of a caller whose key has a scope, such as `refits:run`."""
+    """A dependency that yields the order of a caller whose key has a scope, one of `usecases.keys.SCOPES`."""
     who = caller_with(scope)
 
     async def read(
@@ -151,6 +151,6 @@ def ordered(body: type[AnyBody], scope: str) -> Any:
 def page_of(
     name: str, found: Sequence[Any], limit: int, describe: Callable[[Any], Any], cursor: Callable[[Any], Any]
 ) -> dict[str, Any]:
-    """A page of a list, and the cursor of the next one where there may be one."""
+    """A page of a list under its name, and as `next` the cursor of the next one, None where there is none."""
     following = cursor(found[-1]) if len(found) == limit else None
     return {name: [describe(one) for one in found], "next": following}

@@ -42,7 +42,10 @@ def install(app: FastAPI) -> None:
 
 
 def show_log_in(request: Request, address: str, problem: str | None, status: int = 401) -> Response:
-    """The form in place of a page that needs a key; `address` is where to go afterwards."""
+    """The form in place of a page that needs a key; `address` is where to go afterwards.
+
+    `problem` is a sentence above the form, None where there is nothing to say.
+    """
     word = request.cookies.get(FORM_COOKIE) or secrets.token_urlsafe(24)
     page = render_page("log_in.html", here="", instrument="", word=word, address=address, problem=problem)
     shown = HTMLResponse(page, status, {"Cache-Control": "no-store"})

@@ -95,5 +95,5 @@ def flag_event(request: Request, use: UseCases, caller: Writer, event_id: InPath
 
 
 def describe_event(event: StoredEvent) -> dict[str, Any]:
-    """Describe an event as JSON values."""
+    """Describe an event as JSON values of `EventAnswer`."""
     return fill_answer(EventAnswer, event, time_utc=format_instant(event.time))

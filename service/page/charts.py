@@ -64,7 +64,7 @@ class Span:
 
     @property
     def days(self) -> dict[str, str]:
-        """The ends of the range as dates, as the form of a page shows them; empty where open."""
+        """The ends `since` and `until` as dates, as the form of a page shows them; empty where open."""
         ends = {"since": self.since, "until": self.until}
         return {name: "" if at is None else format_instant(at)[:10] for name, at in ends.items()}
 
@@ -157,7 +157,7 @@ def draw_changes(changes: Sequence[KeptChange], span: Span, ends: Sequence[Insta
 
 
 def draw_counts(counts: dict[str, tuple[int, str]]) -> Chart:
-    """How much of each kind waits; name to number and address."""
+    """How much of each kind waits; by its name the number, and the address of the page with them."""
     titles = [f"{number} {name}" for name, (number, _) in counts.items()]
     numbers = [number for number, _ in counts.values()]
     bars = Series(BARS, numbers, range(len(counts)), colour=SKY, titles=titles, links=[to for _, to in counts.values()])
@@ -248,7 +248,7 @@ def draw_path(
 
 
 def draw_life(life: Life, limits: tuple[float, float], span: Span, now: Instant) -> Chart:
-    """Everything that happened to a scope, a lane a kind; the days are those of `find_days`."""
+    """Everything that happened to a scope, a lane a kind; `limits`, s UTC, are those of `find_days`."""
     series: list[Series] = []
 
     def add(lane: str, since: Instant | None, until: Instant | None, title: str, link: str, colour: int) -> None:
@@ -289,7 +289,11 @@ MOST_COVARIATES = 3
 def draw_environment(
     found: Mapping[str, Sequence[tuple[Instant, Floats]]], days: tuple[float, float]
 ) -> dict[str, Chart]:
-    """Draw weather and other covariates month by month: the mean, and the middle 68 %; the first few by name."""
+    """Draw weather and other covariates month by month, the mean and the middle 68 %: the first few, as ``env-NAME``.
+
+    `found` has each month's first instant and values, shape (event,), by the name of the covariate; `days` are the ends
+    of the axis, s UTC.
+    """
     charts = {}
     for name, months in list(found.items())[:MOST_COVARIATES]:
         at = [month / SECOND_US + HALF_A_MONTH for month, _ in months]
@@ -311,7 +315,7 @@ def draw_environment(
 
 
 def find_days(life: Life, drift: DriftSeries, span: Span) -> tuple[float, float]:
-    """The days that are shown: the span, where it is open those of the data."""
+    """First and last instant that are shown, s UTC: the span, where it is open those of the data."""
     known = [month.month / SECOND_US for month in drift.months] + [
         at / SECOND_US for one in life.versions for at in one.window
     ]

@@ -111,7 +111,7 @@ class AlarmStore(Store):
         return self._see(news, self._of([news.kind], news.scope.key), set(), now)
 
     def settle(self, kinds: Collection[str], present: Sequence[News], now: Instant) -> list[int]:
-        """Take in the complete list of what is wrong of some kinds: the alarms that are new.
+        """Take in the complete list of what is wrong of some kinds: the numbers of the alarms that are new.
 
         What is there already is seen again, what is gone has ended.
         """
@@ -136,7 +136,7 @@ class AlarmStore(Store):
         return self.get(number)
 
     def get(self, number: int) -> Alarm:
-        """Get one alarm."""
+        """Get one alarm; `NotFoundError` for an unknown number."""
         row = self._connection.execute(select(alarm).where(alarm.c.id == number)).one_or_none()
         if row is None:
             raise NotFoundError(f"no alarm {number}; GET /v1/alarms lists them")

@@ -143,7 +143,10 @@ class Cut:
         return self.date < until or (self.slow is not None and self.slow.is_season)
 
     def log_power(self, time_unix: Floats, modes: Floats) -> Floats:
-        """Ln of the power over what it was before, shape (time, freq); `modes` are the Legendre polynomials 1 and 2."""
+        """Ln of the power over what it was before, at s UTC, shape (time, freq).
+
+        `modes` are the Legendre polynomials 1 and 2 over the band, shape (2, freq).
+        """
         if self.slow is not None:
             return -2.0 * np.outer(self.slow.follow(time_unix), self.slow.size + self.slow.shape @ modes)
         return np.outer(time_unix >= self.date / SECOND_US, np.log(self.power or 1.0) + self.shape @ modes)
@@ -295,7 +298,7 @@ class ChangeStore(Store):
         return self._read(statement.order_by(change.c.station, change.c.date_us, change.c.id), as_of)
 
     def get(self, number: int) -> KeptChange:
-        """Get one change."""
+        """Get one change; `NotFoundError` for an unknown number."""
         found = self._read(select(change).where(change.c.id == number))
         if not found:
             raise NotFoundError(f"no change {number}; GET /v1/changes lists them")

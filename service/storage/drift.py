@@ -37,7 +37,7 @@ class PathMonths:
 
     @property
     def digest(self) -> str:
-        """The hash of all of it."""
+        """The hash of these months."""
         return hash_content([[path.key for path in self.paths], hash_arrays(self.months, self.ratios)])
 
 
@@ -112,6 +112,6 @@ class DriftStore(Store):
         return None if row is None else (row.inputs, row.made_us)
 
     def report(self) -> dict[str, Any] | None:
-        """Get the latest report; None before the first."""
+        """Get the latest report, as `lbacal_core.drift.report` describes it; None before the first."""
         found = self._connection.execute(select(drift_report.c.report)).scalar_one_or_none()
         return None if found is None else dict(json.loads(found))

@@ -262,7 +262,7 @@ class JobStore(Store):
         return self._connection.execute(update(job_part).where(is_outdated).values(values)).rowcount
 
     def get(self, number: int) -> Job:
-        """Get one job by its number."""
+        """Get one job by its number; `NotFoundError` for an unknown one."""
         found = self._with_parts([number])
         if not found:
             raise NotFoundError(f"no job {number}; GET /v1/jobs lists them")
@@ -291,7 +291,7 @@ class JobStore(Store):
         return int(self._connection.execute(statement).scalar_one())
 
     def is_open(self, kind: str) -> bool:
-        """Whether a part of some kind of job waits or runs."""
+        """Whether a part of some kind of job (``refit``, ``investigation``, ``watch`` …) waits or runs."""
         statement = select(job_part.c.id).join(job, job.c.id == job_part.c.job).where(job.c.kind == kind)
         return self._connection.execute(statement.where(job_part.c.state.in_(OPEN)).limit(1)).first() is not None
 
@@ -301,7 +301,7 @@ class JobStore(Store):
         return {row.inputs: row.parts for row in self._connection.execute(statement.group_by(job_part.c.inputs))}
 
     def count_by_state(self, since: Instant) -> dict[str, int]:
-        """How many parts wait or run, and how many ended at an instant or later, by state."""
+        """How many parts wait or run, and how many ended at an instant or later, by state, such as ``queued``."""
         is_late = job_part.c.ended_us >= since
         counts: dict[str, int] = {}
         # one partial index each; grouped by state, SQLite would take the index of all states

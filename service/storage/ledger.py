@@ -251,7 +251,7 @@ class LedgerStore(Store):
         return {(made.scope, row.instant): made for row in rows for made in [_value(row)]}
 
     def latest(self, scopes: Iterable[Scope]) -> dict[Scope, Promotion]:
-        """The version in effect at the begin of the last interval of each scope, by the present ledger."""
+        """The promotion in effect at the begin of the last interval of each scope that has one, as it stands now."""
         of_key = {scope.key: scope for scope in scopes}
         keys = self._keys(of_key)
         statement = select(standing.c.scope, func.max(standing.c.valid_from_us)).group_by(standing.c.scope)
@@ -265,7 +265,8 @@ class LedgerStore(Store):
     ) -> dict[Scope, Neighbours]:
         """The nearest promotions before and after an instant at which nothing answers, in two queries.
 
-        Any of its scopes may answer for a path: its neighbour is the nearest of theirs, the first of equally near.
+        None where there is none. Any of its scopes may answer for a path: its neighbour is the nearest of theirs, the
+        first of equally near.
         """
         edges = self._edges({scope.key for scopes in scopes_of.values() for scope in scopes}, instant, as_of)
         last: dict[Scope, tuple[Instant, Scope]] = {}

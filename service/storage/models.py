@@ -126,7 +126,10 @@ class ModelStore(Store):
         add_rows(self._connection, model, [{"id": one.id, "content": one.to_text()} for one in models])
 
     def get(self, name: str) -> Model:
-        """A model by its id or by as many of its first digits as no other begins with."""
+        """A model by its id or by as many of its first digits as no other begins with.
+
+        `NotFoundError` for an unknown one.
+        """
         whole = complete_id(self._connection, model.c.id, name, "model")
         text = self._connection.execute(select(model.c.content).where(model.c.id == whole)).scalar_one_or_none()
         if text is None:
@@ -220,7 +223,7 @@ class InvestigationStore(Store):
         return None if row is None else _value(row)
 
     def get(self, name: str) -> Investigation:
-        """The investigation of that id or of that beginning of one, or an error that says where the ids are."""
+        """The investigation of that id or of that beginning of one; `NotFoundError` says where the ids are."""
         found = self.find(complete_id(self._connection, investigation.c.id, name, "investigation"))
         if found is None:
             raise NotFoundError(f"no investigation {name!r}; GET /v1/investigations lists them")
@@ -243,7 +246,10 @@ class InvestigationStore(Store):
         return self._ranked((_STATION,), _NEWEST, 1, *holds, *equal(investigation, station=station))
 
     def newest_with_findings(self) -> list[Investigation]:
-        """The newest investigation of every station's window, of those that found a cause; by station and window."""
+        """The newest investigation of every station's window, of those that are not `consistent`.
+
+        By station and window.
+        """
         window = _STATION, investigation.c.since_us, investigation.c.until_us
         return self._ranked(window, _NEWEST, 1, is_shown=investigation.c.verdict != "consistent")
 

@@ -341,7 +341,7 @@ class SpectraStore(Store):
         return Arrivals(self._connection)
 
     def add(self, spectra: Spectra, far: Floats | None = None) -> int:
-        """Store what is new and return its count; see `Arrivals.add`."""
+        """Store what is new and return the count of its spectra; `far` as in `Arrivals.add`."""
         return self.arrivals.add(spectra, far)
 
     def load(
@@ -432,7 +432,7 @@ class SpectraStore(Store):
         return None if row[0] is None else (int(row[0]), int(row[1]))
 
     def newest_by_path(self) -> dict[Scope, Instant]:
-        """The newest spectrum of every path that has any, in order of the paths."""
+        """The instant of the newest spectrum of every path that has any, in order of the paths."""
         last = select(event.c.id).order_by(event.c.time_us.desc()).limit(EVENTS_BESIDE).subquery()
         times = select(spectrum.c.path, func.max(spectrum.c.time_us).label("newest"))
         times = times.where(spectrum.c.event.in_(select(last))).group_by(spectrum.c.path)
@@ -455,7 +455,7 @@ class SpectraStore(Store):
         return int(self._connection.execute(statement).scalar_one())
 
     def covariates_by_month(self, since: Instant, until: Instant) -> dict[str, list[tuple[Instant, Floats]]]:
-        """The values of every covariate at the events of [since, until), by month (UTC), which is its first instant."""
+        """Covariates at events of [since, until) by name: first instant and values, shape (event,), of each month."""
         statement = select(event.c.time_us, event.c.env).where(event.c.env.is_not(None)).order_by(event.c.time_us)
         rows = self._connection.execute(statement.where(event.c.time_us >= since, event.c.time_us < until)).all()
         known: dict[str, list[tuple[int, float]]] = {}
@@ -546,7 +546,10 @@ class SpectraStore(Store):
         self, cursor: int = 0, limit: int = 100, station: str | None = None, since: Instant | None = None,
         until: Instant | None = None, flag: str | None = None,
     ) -> list[StoredEvent]:  # fmt: skip
-        """Stored events after a cursor in the order in which they came; of a station, a time, a flag where given."""
+        """Stored events after a cursor in the order in which they came; of a station, a time, a flag where given.
+
+        The cursor is the `number` of the last event of the page before; [since, until) are us UTC.
+        """
         statement = select(event).where(event.c.id > cursor).order_by(event.c.id).limit(limit)
         if since is not None:
             statement = statement.where(event.c.time_us >= since)
@@ -561,7 +564,7 @@ class SpectraStore(Store):
         return self._with_counts(self._connection.execute(statement).all())
 
     def event(self, event_id: str) -> StoredEvent:
-        """Get one event by its name."""
+        """Get one event by its name; `NotFoundError` for an unknown one."""
         rows = self._connection.execute(select(event).where(event.c.event_id == event_id)).all()
         if not rows:
             raise NotFoundError(f"no event {event_id!r} is stored; GET /v1/events lists them")

@@ -80,7 +80,7 @@ class SumStore(Store):
         put_rows(self._connection, sums, [to_row(block, sums, scope=block.scope.key, arrays=content, sha256=digest)])
 
     def get(self, kind: str, scope: Scope, since: Instant, until: Instant) -> Sums | None:
-        """A block; None where it is not kept."""
+        """The block of a kind (as in `Sums`), scope and window; None where it is not kept."""
         is_it = (sums.c.scope == scope.key) & (sums.c.since_us == since) & (sums.c.until_us == until)
         return next(self.of_kind(kind, is_it), None)
 

@@ -213,7 +213,8 @@ class MeanC:
 def mean_over_band(curve: CalibrationCurve) -> tuple[float, float] | None:
     """Mean of C over the channels; its error is the median relative one, because the errors of channels move together.
 
-    A channel without a value counts as those beside it do, so that means over a band with and without it compare.
+    V per ADC unit, both; None for a curve without C. A channel without a value counts as those beside it do, so that
+    means over a band with and without it compare.
     """
     if curve.c is None or curve.c_sigma_stat is None:
         return None
@@ -279,7 +280,7 @@ class VersionStore(Store):
         return None if row is None else from_row(Examined, row, scope=parse_scope(row.scope))
 
     def get(self, version_id: str) -> Version:
-        """One version by its id, or by as many of its first digits as no other begins with."""
+        """One version by its id, or by as many first digits as no other has; `NotFoundError` for an unknown one."""
         found = self.get_many([complete_id(self._connection, calibration.c.id, version_id, "version")])
         if not found:
             raise NotFoundError(f"no calibration {version_id!r}; GET /v1/calibrations lists them")
@@ -409,7 +410,7 @@ class BudgetStore(Store):
         add_rows(self._connection, budget, rows)
 
     def get(self, digest: str) -> dict[str, Any]:
-        """Get one budget as JSON values."""
+        """Get one budget as JSON values; `NotFoundError` for an unknown hash."""
         found = self.get_many([digest])
         if not found:
             raise NotFoundError(f"no budget {digest!r}; a curve names its own in covariance.systematic.budget")

@@ -84,7 +84,7 @@ class CurveInEffect:
 
     @property
     def chain(self) -> ReferenceChain | None:
-        """The reference chain where it is not the path's own curve."""
+        """The reference chain behind the curve; None where that is the path's own, or its chain is not known."""
         is_own = self.version.scope.antenna is not None
         return None if is_own else self.version.chains.get(str(self.dipole))
 
@@ -166,7 +166,10 @@ def select_paths(instrument: Instrument, station: str | None, antenna: int | Non
 def select_scope(
     instrument: Instrument, scope: str | None, station: str | None, antenna: int | None, dipole: str | None
 ) -> list[Scope]:
-    """The paths that a query means, or with the scope ``array`` the reference chain of the array."""
+    """The paths that a query means, or with the scope ``array`` the reference chain of the array.
+
+    `scope` is that or None.
+    """
     if scope is None:
         return select_paths(instrument, station, antenna, dipole)
     if (station, antenna) != (None, None):

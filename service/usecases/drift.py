@@ -270,7 +270,7 @@ class Drift:
     """What the page of the drift shows."""
 
     def means_of_paths(self, station: str) -> list[MeanC]:
-        """Band means of C of the newest versions in effect of a station's paths, path by path."""
+        """Band means of C of the newest versions in effect of a station's paths, path by path; empty without any."""
         paths = select_paths(self.instrument, station, None, None)
         with self.database.read() as stores:
             latest = stores.ledger.latest(paths).values()

@@ -108,7 +108,8 @@ class DueWork:
     def enqueue_watch(self) -> list[int]:
         """Enqueue the watch over all stations, once their measured events are others and none waits to be measured.
 
-        They may be again what they were: the name says which report this look replaces.
+        Returns the new job, or nothing. The events may be again what they were: the name of the job holds the report
+        that     it replaces, too.
         """
         with self.database.read() as stores:
             inputs, last = self.watch.name_inputs(stores), stores.drift.report_made()

@@ -77,7 +77,10 @@ class Wanted:
 
     @property
     def taken_out(self) -> list[Cut]:
-        """The changes that are taken out of a mean, so that it is that of its antennas before they changed."""
+        """The changes that are taken out of a mean, so that it is that of its antennas before they changed.
+
+        Those of known size, of any antenna or station for the array, of single antennas for a station; none for paths.
+        """
         return [one for one in self.changed if self._is_part(one) and (one.power is not None or one.slow is not None)]
 
     @property
@@ -210,7 +213,7 @@ class Fits:
         return found
 
     def name_simulation(self, since: Instant, until: Instant, of: Scope) -> dict[str, Any]:
-        """All inputs of a window but spectra, cuts and causes."""
+        """Inputs of a window but spectra, cuts and causes: `instrument`, `sky_power`, `own_sky`, `model_version`."""
         simulation = self.simulation
         return {
             "instrument": simulation.instrument.digest_of(since / SECOND_US, until / SECOND_US, of.station, of.antenna),

@@ -70,6 +70,7 @@ def compare_curves(before: CalibrationCurve, after: CalibrationCurve) -> CurveCh
 def compare_versions(first: Version, second: Version) -> list[tuple[str | None, CurveChange]]:
     """How the curves of two versions differ, by dipole, as one and the same path is served them.
 
+    A dipole of which one version has no C is left out.
     If one of them is a path's own, the other is carried through that path's cable. Curves of two reference chains are
     compared through one and the same cable, C L_ref^1/2: a change of which antennas were averaged is no change.
     """

@@ -190,7 +190,10 @@ def find_far(stores: Stores, spectra: Spectra) -> Floats:
 
 
 def warn_of_far(spectra: Spectra, far: Floats) -> list[str]:
-    """One sentence for each of the first paths with such spectra, and one for all others."""
+    """One sentence for each of the first paths with spectra far from what is stored, and one for all others.
+
+    `far` is their power over the one stored nearest in time, shape (row,), NaN of others.
+    """
     factors: dict[str, list[float]] = {}
     for k in np.flatnonzero(np.isfinite(far)).tolist():
         name = name_path(str(spectra.station[k]), int(spectra.antenna[k]), str(spectra.dipole[k]))

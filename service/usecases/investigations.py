@@ -67,7 +67,7 @@ class Investigations:
     def due(self, stores: Stores) -> Iterator[tuple[dict[str, Any], list[Any]]]:
         """The parts that the stored spectra call for, each with what besides the inputs of fits would change it.
 
-        A station's year with too few events for any fit is not yet due.
+        A station's year with too few events for any fit is not yet due. Parts are those of `describe_part`.
         """
         search = [self.simulation.is_own_sky, Policy().as_dict(), *self.simulation.own_causes.values()]
         for since, until in find_years(stores):
@@ -121,7 +121,7 @@ def _investigate(fits: Fits, spectra: Spectra, model: Model) -> dict[str, Any]:
 
 
 def describe_part(station: str, since: Instant, until: Instant) -> dict[str, Any]:
-    """A part of an investigation as JSON: whose spectra, and when they were taken."""
+    """A part of an investigation as JSON: `station`, and when its spectra were taken, `since`, `until`, us UTC."""
     return {"station": station, "since": since, "until": until}
 
 

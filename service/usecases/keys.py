@@ -41,7 +41,7 @@ class Keys:
     open_reads: bool = True
 
     def create(self, scopes: tuple[str, ...], days: float | None = None, name: str | None = None) -> tuple[int, str]:
-        """Make a key; its text exists only in this answer."""
+        """Make a key, which ends after `days` or never: its number and its text, which exists only in this answer."""
         unknown = [scope for scope in scopes if scope not in SCOPES]
         if unknown or not scopes:
             raise BadInputError("scope", f"one or more of {', '.join(SCOPES)}", unknown[0] if unknown else "none")

@@ -69,7 +69,7 @@ class Status:
             raise UnavailableError("no worker has lived for a minute: start `lbacal worker`")
 
     def look(self) -> State:
-        """Gather everything."""
+        """Gather readiness, processes, parts of jobs, failures and alarms; an unready service is told, not raised."""
         try:
             self.require_ready()
             problem = None
@@ -147,7 +147,7 @@ class Overview:
 
 
 def look_over(database: Database, instrument: Instrument, clock: Callable[[], Instant]) -> Overview:
-    """Gather the state of everything."""
+    """Count events, open parts of jobs, and the paths of each station that have a version in effect."""
     paths = select_paths(instrument, None, None, None)
     with database.read() as stores:
         span = stores.spectra.span()

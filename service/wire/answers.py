@@ -21,7 +21,7 @@ def to_json(content: Any) -> bytes:
 
 
 def describe_scope(scope: Scope) -> dict[str, Any]:
-    """Station, antenna and dipole, null where they do not apply."""
+    """The fields `station`, `antenna` and `dipole`, None where they do not apply."""
     return {"station": scope.station, "antenna": scope.antenna, "dipole": scope.dipole}
 
 
@@ -62,12 +62,12 @@ def _find(value: Any, name: str) -> Any:
 
 
 def describe_stretch(start: Instant | None, end: Instant | None, **also: Any) -> dict[str, Any]:
-    """A half-open interval, and what is said of it."""
+    """A half-open interval as text, `from` and `to` (None where it is open), with `also`."""
     return {"from": format_optional(start), "to": format_optional(end), **also}
 
 
 def describe_promotion(promotion: Promotion) -> dict[str, Any]:
-    """Describe one line of the ledger."""
+    """Describe one line of the ledger as JSON values of `PromotionLine`."""
     return fill_answer(PromotionLine, promotion, promotion=promotion.number)
 
 

@@ -93,6 +93,13 @@ $ life CS001
 2019-02-01 investigation bbbbbbbbbbbb: explained
 2020-01-01 alarm 1 (acknowledged): CS001 is wrong
 versions: 1, epochs: 1
+$ life --station CS001 --antenna 0 --dipole X
+2014-01-01 version PATH answers until 2014-06-01T00:00:00Z
+2014-06-01 version PATH answers until open
+2019-01-01 investigation aaaaaaaaaaaa: consistent
+2019-02-01 investigation bbbbbbbbbbbb: explained
+2020-01-01 alarm 1 (acknowledged): CS001 is wrong
+versions: 3, epochs: 1
 $ models
 no models
 $ jobs
@@ -176,6 +183,8 @@ def test_the_commands_of_a_database_say_what_they_did(factory: Factory, monkeypa
         ("alarms --until 2020-01-01", "--acknowledge with --reason"),
         ("changes decide 3 --reason x", "either --in-force or --dismiss, found neither"),
         ("life CS001/0", "STATION or STATION/ANTENNA/DIPOLE"),
+        ("life CS001/0/X --station CS001", "either a path or --station, --antenna and --dipole, found both"),
+        ("life --station CS001 --antenna 0", "station, antenna and dipole, a station alone, or nothing"),
         ("effective --at 2014-05-01 --output C.ecsv", "--format: expected json, csv"),
         ("investigate --stored --since 2014-01-01 --until 2015-01-01", "--reason: expected a value beside --stored"),
         ("investigate --stored --station CS001 --station CS002", "--station: expected one beside --stored"),

@@ -205,6 +205,15 @@ def test_rows_come_in_any_order_and_a_hole_is_named():
         grid_rows("x", (frequency[:3], zenith[:3], phi[:3]), (np.ones(3, dtype=complex),))
 
 
+def test_a_direction_stands_twice_only_with_the_same_response():
+    """An export of two ports, one behind the other, was read as the last."""
+    frequency, zenith, phi = (np.array(one, dtype=float) for one in ([30, 30, 30], [0, 0, 0], [0, 90, 360]))
+    _, (grid,) = grid_rows("x", (frequency, zenith, phi), (np.array([1.0, 2.0, 1.0001], dtype=complex),))
+    assert grid.shape == (1, 1, 2)
+    with pytest.raises(BadInputError, match="found two that differ at 30 MHz, 0, 0 deg"):
+        grid_rows("x", (frequency, zenith, phi), (np.array([1.0, 2.0, 1.5], dtype=complex),))
+
+
 def columns(one):
     """One row a frequency and direction, phi before zenith, as NuRadioMC sorts them; GHz, rad, m."""
     nu, phi, zenith = np.meshgrid(
