@@ -337,7 +337,10 @@ class ChangeStore(Store):
         It keeps the date and size with which it was found first: later data move these within their errors. Antennas
         that were not among those of a change that is on record are a change of their own.
         """
-        same = [one for one in self.kept(found.station) if one.change.is_same(found)]
+        near = [change.c.station == found.station, change.c.kind == found.kind]
+        near += [] if found.kind == STEP else [change.c.paths == json.dumps(found.paths)]
+        ordered = select(change).where(*near).order_by(change.c.date_us, change.c.id)
+        same = [one for one in self._read(ordered) if one.change.is_same(found)]
         covered = {antenna for one in same for antenna in one.change.antennas}
         rest = tuple(path for path in found.paths if path[0] not in covered)
         numbers = [one.number for one in same if not any(_says(by, evidence) for by in one.evidence)]
@@ -348,7 +351,7 @@ class ChangeStore(Store):
         for number in numbers:
             row = to_row(evidence, change_evidence, change=number)
             self._connection.execute(change_evidence.insert().values(row))
-        return self.get((*(one.number for one in same), *numbers)[0])
+        return self.get((*(one.number for one in same), *numbers)[0]) if numbers else same[0]
 
     def end(self, number: int, source: str, now: Instant) -> None:
         """Note that a source no longer holds."""

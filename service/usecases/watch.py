@@ -9,6 +9,7 @@ found to have changed has its windows cut there from then on, until the chain al
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -129,12 +130,15 @@ def settle_changes(stores: Stores, report: Mapping[str, Any], measured: Measured
     ]
     for one in report.get("slopes", ()):
         found += [(*of, False) for of in read_slow(one, report["first_unix"])]
+    alike = defaultdict[tuple[str | None, str], list[Change]](list)
+    for one, *_ in found:
+        alike[one.station, one.kind].append(one)
     for kept in stores.changes.kept():
         change = kept.change
         is_slow = change.kind in (RAMP, SEASON)
         is_sought = is_slow or stores.models.during(change.station, change.date, change.date + 1).is_plain
         is_measured = not change.paths or any((change.station, *path) in measured for path in change.paths)
-        if is_sought and is_measured and not any(change.is_same(one) for one, *_ in found):
+        if is_sought and is_measured and not any(map(change.is_same, alike[change.station, change.kind])):
             for source in (BY_DRIFT, RECORD):
                 stores.changes.end(kept.number, source, now)
     for change, significance, is_known in found:
