@@ -298,7 +298,7 @@ def _confirm(
 ) -> Examined | None:
     """The fit as a confirmation of the version in effect, or of one that answered before; None if it is news.
 
-    Of versions of the same spectra the first near enough answers: the same fit has the same answer whenever it is made.
+    The first near enough of those of the same spectra answers: the same fit has the same answer whenever it is made.
     Where a decision about a change was taken since, what answered before may be nearer than what is in effect.
     """
     promotions = stores.ledger.of_interval(new.scope, *new.window, MOST_RECALLED)
