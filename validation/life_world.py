@@ -215,7 +215,7 @@ def _write(kept: Sequence[_Kept], *, is_mean: bool) -> KeptLines:
 
 
 def continue_(
-    kept: Sequence[KeptLines], new: Spectra | None, _: Simulation, beside: Sequence[Beside] = ()
+    kept: Sequence[KeptLines], new: Spectra | None, _: Simulation, beside: Sequence[Beside], __: tuple[float, float]
 ) -> Continued:
     """Stand in for `continue_fit`."""
     curves, undecided = {}, set()
