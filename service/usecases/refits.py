@@ -105,7 +105,7 @@ class Refits:
             said = _read_said(stores, block) if part.is_due else {}
             kept = self._keep(stores, made.versions, part, said, neighbours)
             is_night = part.is_due and part.request["promote"]
-            withdrawn = list(_withdraw_gaps(stores, made.versions, part, said)) if is_night else []
+            withdrawn = list(_withdraw_gaps(stores, made.versions, part)) if is_night else []
             if part.request["promote"]:
                 keep_fit(stores, block, made, kept.told)
             if kept.result["calibrations"]:
@@ -319,14 +319,13 @@ def _confirm(
     return min((again for again in found if again is not None), key=lambda again: again.shift, default=None)
 
 
-def _withdraw_gaps(stores: Stores, made: Sequence[Version], part: Part, said: Said) -> Iterator[Promotion]:
-    """Withdraw what due work fitted over a change where the pieces of the window give no C.
+def _withdraw_gaps(stores: Stores, made: Sequence[Version], part: Part) -> Iterator[Promotion]:
+    """Withdraw what due work put into effect over a change where the pieces of the window give no C.
 
     It would answer there for ever, and in a service that got the same spectra after the change nothing does.
     """
     window = part.request["since"], part.request["until"]
     for scope in dict.fromkeys(v.scope for v in made):
-        names = {one.calibration for (of, *_), one in said.items() if of == scope}
         with_c = sorted(
             v.window for v in made if v.scope == scope and (v.window == window or v.curves[0].c is not None)
         )
@@ -335,8 +334,8 @@ def _withdraw_gaps(stores: Stores, made: Sequence[Version], part: Part, said: Sa
             promotions = stores.ledger.standing([scope], start, end) if start < end else []
             for one in timeline(promotions, scope):
                 since, until = max(one.start or start, start), min(one.end or end, end)
-                is_own = one.promotion is not None and one.promotion.by == part.by
-                if is_own and one.calibration in names and since < until:
+                is_own = one.promotion is not None and one.promotion.by == part.by and one.calibration is not None
+                if is_own and since < until:
                     yield Promotion(0, scope, since, until, None, 0, part.by, part.reason)
 
 
