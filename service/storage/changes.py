@@ -201,10 +201,11 @@ class KeptChange:
 
     @property
     def decision(self) -> str:
-        """Proposed, in force or dismissed: the last decision, or what follows from who found it."""
+        """Proposed, in force or dismissed: the last decision, or what follows from who says so now, or said so last."""
         if self.said is not None:
             return self.said.decision
-        return PROPOSED if all(one.source == INVESTIGATION for one in self.evidence) else IN_FORCE
+        say_so = [one for one in self.evidence if one.ended is None] or self.evidence
+        return PROPOSED if all(one.source == INVESTIGATION for one in say_so) else IN_FORCE
 
     @property
     def stands(self) -> bool:

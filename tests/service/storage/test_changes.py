@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from lbacal.instants import DAY_US
-from service.storage.changes import Change, is_same_date
+from service.storage.changes import DRIFT, INVESTIGATION, Change, Evidence, KeptChange, is_same_date
 
 STEP = Change("CS002", ((0, "X"), (1, "X")), "step", 100 * DAY_US, DAY_US, 0.1, 0.01)
 RAMP = replace(STEP, kind="ramp")
@@ -47,3 +47,17 @@ def test_dates_agree_within_a_day_and_their_errors() -> None:
     assert not is_same_date(day, (101 * DAY_US + 1, 0))
     assert not is_same_date((101 * DAY_US + 1, 0), day)
     assert is_same_date(day, (103 * DAY_US, DAY_US))
+
+
+@pytest.mark.parametrize(
+    ("drift_ended", "found_ended", "decision"),
+    [(None, None, "in force"), (9, None, "proposed"), (None, 9, "in force"), (9, 9, "in force")],
+)
+def test_who_says_so_now_decides_whether_a_change_is_in_force(
+    drift_ended: int | None, found_ended: int | None, decision: str
+) -> None:
+    """A step that drift had found once stayed in force for ever where an investigation alone still found it."""
+    evidence = Evidence(DRIFT, "", 9.7, 1, drift_ended), Evidence(INVESTIGATION, "7", 26.9, 2, found_ended)
+    kept = KeptChange(1, STEP, 1, evidence)
+    assert kept.decision == decision.replace(" ", "_")
+    assert kept.stands == (drift_ended is None)
