@@ -89,7 +89,10 @@ class Chart:
     left: float = 0.0
 
     def csv(self) -> str:
-        """The numbers drawn: series, x, y, and the lower and upper end of bands and errors."""
+        """The numbers drawn: series, x, y, and the lower and upper end of bands and errors.
+
+        An image has a row a cell, with the value behind the name of the series.
+        """
         lines = [",".join(map(_quote, ("series", self.x_label, self.y_label, "low", "high")))]
         for one in self.series:
             if one.image is not None:
