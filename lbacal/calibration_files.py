@@ -51,7 +51,10 @@ def write_calibrations(content: Mapping[str, Any], path: Path, kind: str) -> Non
 
 
 def holds_curves(path: Path) -> bool:
-    """Whether a file is one of calibration curves by its name, and where HDF5 may hold other things by its head."""
+    """Whether a file is to be read as calibration curves: by the end of its name, one of `SUFFIXES`.
+
+    A file of HDF5 that is there may hold other things; its head says whether it does.
+    """
     if not path.is_file() or path.suffix.lower() not in (".h5", ".hdf5"):
         return path.suffix.lower() in SUFFIXES
     try:

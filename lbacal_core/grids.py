@@ -38,8 +38,8 @@ def require_same_grid(place: str, frequency_mhz: Floats, expected_mhz: Floats, e
         k = int(off[0])
         raise BadInputError(
             f"{place}: frequency_mhz, channel {k}",
-            f"{expected_mhz[k]:g} MHz as in {expected_from}",
-            f"{frequency_mhz[k]:g} MHz",
+            f"{expected_mhz[k]:.10g} MHz as in {expected_from}",
+            f"{frequency_mhz[k]:.10g} MHz",
         )
 
 

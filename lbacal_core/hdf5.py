@@ -54,7 +54,8 @@ def open_dataset(file: h5py.File, name: str, kind: Kind, here: str) -> h5py.Data
         The file and the dataset in words, for the message.
     """
     if not is_in_file(file, name):
-        raise BadInputError(here, "a dataset in this file", "a link")
+        found = "none" if file.get(name, getlink=True) is None else "a link"
+        raise BadInputError(here, "a dataset in this file", found)
     dataset = file[name]
     if not isinstance(dataset, h5py.Dataset):
         raise BadInputError(here, "a dataset", f"a {type(dataset).__name__.lower()}")

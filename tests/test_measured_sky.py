@@ -30,7 +30,7 @@ def test_the_prediction_of_edges_on_the_page_is_that_of_its_table(shared: Path) 
 
 
 def test_the_level_beyond_the_map_that_the_page_on_skies_states_is_that_of_the_anchors() -> None:
-    level, nu = read_sky_level(), np.array([100.0, 120.0, 150.0, 200.0, 300.0, 400.0])
+    level, nu = read_sky_level(), np.array([100.0, 120.0, 150.0])
     values, errors = 100 * np.expm1(level.ln_ratio(nu)), 100 * level.sigma(nu)
     row = " | ".join(f"{value:+.1f} ± {error:.1f}" for value, error in zip(values, errors, strict=True))
     assert f"| measured over modelled, % | {row} |" in (PAGE.parent / "sky-and-antennas.md").read_text()

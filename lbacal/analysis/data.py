@@ -140,9 +140,14 @@ def read(
     since, until
         Half-open interval of the events to use: an astropy Time, a datetime (naive = UTC) or ISO 8601 text.
     stations
-        Stations to use; all unless given.
+        Stations whose spectra to use; all unless given.
     tell
         Called with a sentence before each step.
+
+    Raises
+    ------
+    BadInputError
+        Where a file does not follow its format, no spectra are left, or curves are to be chosen like spectra.
 
     Examples
     --------
@@ -154,6 +159,8 @@ def read(
         raise BadInputError("read", "a file or a folder, or a list of them", "none")
     paths = [path_of("read", one) for one in named]
     if len(paths) == 1 and holds_curves(paths[0]):
+        if since is not None or until is not None or stations:
+            raise BadInputError("since, until, stations", "spectra beside them", f"the curves of {paths[0]}")
         return make_table(read_calibrations(paths[0]))
     first, last = (None if at is None else format_time(at) for at in (since, until))
     selection = parse_selection(first, last, None, [stations] if isinstance(stations, str) else stations, prefix="")

@@ -200,12 +200,14 @@ def core_of(instrument: Any) -> CoreInstrument:
 
 
 def simulation_of(instrument: Any, sky_power: SkyPower | str | Path | None = None) -> Simulation:
-    """The instrument under its own sky, or under a P_sky that is given or read."""
+    """The instrument under its own sky, or under a P_sky that is given or read; a simulation as it is."""
     from lbacal_core.causes.own import catalogue_with
     from lbacal_core.simulation.simulation import Simulation
     from lbacal_core.sky.table import SkyPower, read_sky_power
 
     if isinstance(instrument, Simulation):
+        if sky_power is not None:
+            raise BadInputError("sky_power", "an instrument beside it: a simulation has its sky", "a simulation")
         return instrument
     given = read_sky_power(Path(sky_power)) if isinstance(sky_power, str | Path) else sky_power
     require_kind("sky_power", given, SkyPower | None, "a P_sky, or the name of its file")

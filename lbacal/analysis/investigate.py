@@ -114,9 +114,9 @@ def investigate(
     with_
         What the model is extended by beforehand: an `Investigation`, a finding, or ``"R.json#0"``.
     band
-        First and last channel of the LST curve, MHz or Quantities.
+        First and last channel of the LST curve, MHz or Quantities; spectra are searched in all channels.
     dask
-        Address of a dask scheduler whose workers search one station each, or ``"local"``.
+        Address of a dask scheduler whose workers search one station of spectra each, or ``"local"``.
     tell
         Called with a sentence before each step.
 
@@ -135,6 +135,8 @@ def investigate(
             raise BadInputError("with_", "spectra beside it", "an LST curve")
         curve = data if isinstance(data, LstCurve) else read_lst_curve(Path(data))
         return _investigate_curve(curve, simulation_of(instrument or SUPERTERP, sky_power), convert_band(band))
+    if tuple(band) != BAND_MHZ:
+        raise BadInputError("band", "an LST curve beside it", "spectra")
     if instrument is None:
         raise BadInputError("instrument", "an instrument beside spectra, or the name of one", "None")
     simulation, causes = simulation_of(instrument, sky_power), read_model(with_, "with_")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
@@ -12,7 +13,7 @@ from lbacal.cli.outputs import show_each
 from lbacal.files import written_beside
 from lbacal.settings import causes_file
 from lbacal.with_model import read_report
-from lbacal_core.errors import BadInputError
+from lbacal_core.errors import BadInputError, MissingExtraError
 
 causes = typer.Typer(invoke_without_command=True)
 File = Annotated[Path | None, typer.Option("--file", help="File of the causes; LBACAL_CAUSES unless given.")]
@@ -24,6 +25,8 @@ def list_causes(context: typer.Context, file: File = None, as_json: Json = False
 
     Example: lbacal causes
     """
+    if find_spec("scipy") is None:
+        raise MissingExtraError("lbacal causes", "fit")
     if context.invoked_subcommand is None:
         from lbacal_core.causes.own import read_own_causes
 

@@ -89,7 +89,10 @@ class Chart:
     left: float = 0.0
 
     def csv(self) -> str:
-        """The numbers drawn: series, x, y, and the lower and upper end of bands and errors."""
+        """The numbers drawn: series, x, y, and the lower and upper end of bands and errors.
+
+        An image has a row a cell, with the value behind the name of the series.
+        """
         lines = [",".join(map(_quote, ("series", self.x_label, self.y_label, "low", "high")))]
         for one in self.series:
             if one.image is not None:
@@ -116,9 +119,10 @@ class Chart:
         if self.rows:
             axes.set_yticks(range(len(self.rows)), self.rows)
             axes.set_ylim(len(self.rows) - 0.4, -0.6)
-        for limits, set_limits in ((self.x_limits, axes.set_xlim), (self.y_limits, axes.set_ylim)):
-            if limits is not None:
-                set_limits(limits)
+        if self.x_limits is not None:
+            axes.set_xlim(_positions(self.x_limits, is_time=self.scales[0] == "time"))
+        if self.y_limits is not None:
+            axes.set_ylim(self.y_limits)
         look: dict[str, Any] = {"fontsize": 8, "framealpha": 0.8, "edgecolor": "none"}
         bands = [one for one in self.series if one.kind == BAND]
         if len(bands) > 1 and all(np.array_equal(below.high, above.low) for below, above in pairwise(bands)):  # stacked
@@ -159,9 +163,14 @@ def _write_time(seconds: float) -> str:
     return f"{datetime.fromtimestamp(float(seconds), UTC):%Y-%m-%dT%H:%M:%SZ}"
 
 
+def _positions(x: Any, *, is_time: bool) -> Any:
+    """Values of x as matplotlib takes them: dates along an axis of time."""
+    values = np.asarray(x, dtype=float)
+    return (values * 1e6).astype("datetime64[us]") if is_time else values
+
+
 def _draw_series(axes: Any, one: Series, *, is_time: bool) -> None:
-    x = np.asarray(one.x, dtype=float)
-    x = (x * 1e6).astype("datetime64[us]") if is_time else x
+    x = _positions(one.x, is_time=is_time)
     look: dict[str, Any] = {"color": COLOURS[one.colour], "label": one.name or None}
     if one.kind == BAND:
         axes.fill_between(x, np.array(one.low, dtype=float), np.array(one.high, dtype=float), alpha=0.25, lw=0, **look)
@@ -181,7 +190,7 @@ def _draw_series(axes: Any, one: Series, *, is_time: bool) -> None:
             axes.axvline(at, ls=STYLES[one.style], lw=0.9, **(look if k == 0 else look | {"label": None}))
     else:
         shown = axes.imshow(
-            one.image, origin="lower", aspect="auto", extent=(*one.x, *one.y), cmap="RdBu_r",
+            one.image, origin="lower", aspect="auto", extent=(*x, *one.y), cmap="RdBu_r",
             vmin=-one.limit, vmax=one.limit, interpolation="nearest",
         )  # fmt: skip
         axes.figure.colorbar(shown, ax=axes, label=one.name)

@@ -34,7 +34,9 @@ class NamedSentence(Sentence):
     def of(cls, name: str, parameters: Mapping[str, Any]) -> NamedSentence:
         """The cause of a name, with the parameters of a sentence."""
         if not isinstance(name, str) or not _NAME.fullmatch(name):
-            raise BadInputError("name of a cause", "lower-case letters, digits and _, three or more", repr(name))
+            raise BadInputError(
+                "name of a cause", "a lower-case letter, then 2 to 40 lower-case letters, digits or _", repr(name)
+            )
         if name in {one.identifier for one in (*DESCRIPTIONS, Sentence())}:
             raise BadInputError("name of a cause", "one that the catalogue does not have", repr(name))
         require_sentence(f"cause {name}", parameters)

@@ -259,7 +259,7 @@ AS_PUBLISHED = 2.0
 
 
 def describe_curve(found: CurveInvestigation, provenance: Provenance) -> dict[str, Any]:
-    """The report of an LST curve as JSON values (docs/formats/lst-report.md)."""
+    """The report of an LST curve as JSON values (docs/formats/investigation-report.md)."""
     first, last = found.first, found.last
     is_left = found.structure_p < found.policy.structure_alpha
     verdict = UNEXPLAINED if is_left else EXPLAINED if found.findings else CONSISTENT

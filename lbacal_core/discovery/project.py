@@ -70,7 +70,7 @@ class EventGains:
 
     @classmethod
     def of(cls, station: Station, terms: ChainTerms) -> EventGains:
-        """Those of a fitted chain."""
+        """The gains that events have in a fitted chain: its share in front of N_RCU, and the resonance in its G_ant."""
         conditions = station.conditions
         front = np.broadcast_to((terms.sky + terms.n_lna) * terms.front / terms.power(), terms.sky.shape)
         return cls(front, CubicSpline(conditions.frequency_mhz, log_gain(terms, conditions)))

@@ -279,7 +279,13 @@ class Epoch:
 
 
 def split_epochs(scope: Scope, changes: Iterable[KeptChange]) -> list[Epoch]:
-    """The times between the changes in force at which windows of a path are cut, or which are of a whole station."""
+    """The times between changes in force at which windows of a path are cut, or which are of a whole station.
+
+    Parameters
+    ----------
+    changes
+        Those of the scope itself; others are not left out.
+    """
     dates = {
         one.change.date: one.number
         for one in changes

@@ -198,9 +198,10 @@ class JobStore(Store):
     def claim(self, worker: str, *, lease_us: int, inputs: str | None = None) -> Part | None:
         """Take a part that is queued, or whose worker was silent for longer than its lease; None where there is none.
 
-        Parts that need other inputs than the worker's are left to others. Due work comes first: however much somebody
-        asks for, the night is not behind it; and of it what C follows from, before investigations. Jobs that were asked
-        for take turns, so that nobody waits for all of a large one. Leases are counted by the database's clock.
+        Parts that need other inputs than the worker's are left to others: without `inputs` those that need any. Due
+        work comes first: however much somebody asks for, the night is not behind it; and of it what C follows from,
+        before investigations. Jobs that were asked for take turns, so that nobody waits for all of a large one. Leases
+        are counted by the database's clock.
         """
         now = read_database_clock(self._connection)
         is_abandoned = and_(job_part.c.state == RUNNING, job_part.c.lease_until_us < now)

@@ -134,9 +134,10 @@ class Arrivals:
     def find_levels(
         self, paths: Sequence[tuple[str, int, str]], at: Instant
     ) -> dict[tuple[str, int, str], list[float]]:
-        """The levels of some paths of a station in the events nearest to an instant.
+        """The levels of some paths of a station, ln of power, in the events nearest to an instant that are not flagged.
 
-        A spectrum that waits has the usual level of its path: its own without the factor.
+        At most `EVENTS_BESIDE` events until then and as many later, those that any of the paths has. A spectrum that
+        waits has the usual level of its path: its own without the factor.
         """
         stored = self._stored_paths(paths)
         key = {stored[one]: one for one in paths if one in stored}

@@ -331,7 +331,7 @@ class VersionStore(Store):
         return found
 
     def misfits(self) -> dict[tuple[str | None, str, Instant, Instant], list[str]]:
-        """Versions that misfit and that no newer one of their window replaced, by station or None, level and window."""
+        """Ids of versions that misfit and have no newer one of their window, by station or None, level and window."""
         statement = (
             select(calibration).where(calibration.c.status == MISFIT, ~_has_newer()).order_by(calibration.c.scope)
         )

@@ -83,6 +83,7 @@ def test_the_same_grid_passes_with_the_rounding_of_a_file():
     [
         (GRID[1:], r"s\.h5: frequency_mhz: expected the 51 channels of instrument a, found 50 channels"),
         (GRID + 0.5 * (GRID > 36.0), r"s\.h5: frequency_mhz, channel 7: expected 37 MHz as in .* a, found 37\.5 MHz"),
+        (GRID + 1e-5 * (GRID > 32.0), r"expected 33 MHz as in instrument a, found 33\.00001 MHz"),
         # 51 channels of NaN were stored.
         (np.full(51, np.nan), "channel 0: expected 30 MHz as in instrument a, found nan MHz"),
     ],

@@ -17,6 +17,7 @@ from lbacal.pages.finding import tell_finding
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.lstcurve.curve import measured_curve
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.power import compute_sky_power
 from lbacal_core.sky.table import SkyPower
 from lbacal_core.spectra.spectra import Spectra
@@ -136,6 +137,17 @@ def test_spectra_need_an_instrument_and_a_scope_has_a_name(late: Spectra) -> Non
         lbacal.investigate(late)
     with pytest.raises(BadInputError, match=r"^scope: expected one of antenna, station, array, found 'paths'$"):
         lbacal.fit(late, "lofar-superterp", scope="paths")
+
+
+def test_what_has_no_meaning_beside_the_rest_is_refused(late: Spectra, tmp_path: Path) -> None:
+    with pytest.raises(BadInputError, match="band: expected an LST curve beside it"):
+        lbacal.investigate(late, "lofar-superterp", band=(40, 60))
+    simulation = Simulation(load_instrument("lofar-superterp"))
+    with pytest.raises(BadInputError, match="a simulation has its sky"):
+        lbacal.fit(late, simulation, sky_power=simulation.sky_power)
+    lbacal.fit(late, simulation).save(tmp_path / "C.ecsv")
+    with pytest.raises(BadInputError, match="since, until, stations: expected spectra"):
+        lbacal.read(tmp_path / "C.ecsv", stations=["CS002"])
 
 
 def test_data_are_imported_with_what_was_left_out(tmp_path: Path) -> None:

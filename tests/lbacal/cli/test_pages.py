@@ -15,7 +15,7 @@ from lbacal.analysis.budget import ErrorBudget
 from lbacal.analysis.result import align
 from lbacal.cli.main import app
 from lbacal.pages.budget import draw_budget
-from lbacal.pages.chart import Chart, plot_charts
+from lbacal.pages.chart import Chart, Series, plot_charts
 from lbacal.pages.finding import draw_finding, draw_scores, draw_sentence, draw_station, tell_finding
 from lbacal.pages.fit import average_residuals, draw_c, draw_fit, draw_page
 from lbacal.pages.fit_summary import describe_error, explain_chi2, tabulate_curves
@@ -175,6 +175,15 @@ def test_residuals_of_every_scope_are_small_where_the_chain_is_right(
 
 
 OF_X = ("X: median of 6 curves", "X: median of 2 curves", "array X")
+
+
+def test_lines_and_images_over_time_are_drawn_within_their_dates() -> None:
+    days = 1.4e9, 1.41e9
+    series = [Series("line", days, (1.0, 2.0)), Series("image", days, (0.0, 2.0), image=np.eye(2))]
+    figure = plot_charts([Chart(one.kind, "date", "y", [one], ("time", "linear"), days) for one in series])
+    figure.canvas.draw()
+    for axes in figure.axes[:2]:
+        np.testing.assert_allclose(axes.get_xlim(), np.array(days) / 86400.0)
 
 
 def test_a_fit_without_any_curve_is_drawn_empty(spectra: Spectra, sky: SkyPower) -> None:
