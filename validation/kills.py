@@ -203,17 +203,23 @@ def _find_farthest(found: InEffect, calm: InEffect) -> float:
     """The largest shift of any path that is told another version; infinite where others are told any."""
     if found.keys() != calm.keys():
         return np.inf
-    shifts = (_largest_shift(one, calm[path]) for path, one in found.items() if one.version != calm[path].version)
-    return max(shifts, default=0.0)
+    others = ((one, calm[path]) for path, one in found.items() if one.version != calm[path].version)
+    return max((largest_shift((one.c, one.sigma), (other.c, other.sigma)) for one, other in others), default=0.0)
 
 
-def _largest_shift(one: Told, other: Told) -> float:
-    """The largest difference of any channel in the smaller statistical error; infinite if one alone has a value."""
-    is_known = np.isfinite(one.c)
-    if not np.array_equal(is_known, np.isfinite(other.c)):
+def largest_shift(one: tuple[Floats, Floats], other: tuple[Floats, Floats]) -> float:
+    """The largest difference of C of any channel, in the smaller error; infinite if one alone has a value.
+
+    Parameters
+    ----------
+    one, other
+        C and its statistical error, shape (freq,) each.
+    """
+    (c, sigma), (other_c, other_sigma) = one, other
+    is_known = np.isfinite(c)
+    if not np.array_equal(is_known, np.isfinite(other_c)):
         return np.inf
-    shift = np.abs(one.c - other.c) / np.fmin(one.sigma, other.sigma)
-    return float(np.max(shift[is_known], initial=0.0))
+    return float(np.max((np.abs(c - other_c) / np.fmin(sigma, other_sigma))[is_known], initial=0.0))
 
 
 def _floats(values: Any) -> Floats:

@@ -35,7 +35,7 @@ from service.storage.versions import Version
 from service.usecases.fits import SMALLEST_SHIFT
 from service.usecases.gate import through_common_cable
 from service.wire.bodies import ChangeBody, DecisionBody
-from validation.kills import SETTINGS, SKY, simulate
+from validation.kills import SETTINGS, SKY, largest_shift, simulate
 from validation.life_states import BY, MOST_NIGHTS, replay, rest
 from validation.life_world import at
 from validation.machinery.claims import Found, rate_of
@@ -219,11 +219,8 @@ def _shift(one: Version | None, other: Version | None) -> float:
         if own.c is None or anew.c is None:
             shifts.append(0.0 if own.c is anew.c else np.inf)
             continue
-        is_known = np.isfinite(own.c)
-        if not np.array_equal(is_known, np.isfinite(anew.c)):
-            return np.inf
-        sigma = np.fmin(np.asarray(own.c_sigma_stat), np.asarray(anew.c_sigma_stat))
-        shifts.append(float(np.max((np.abs(own.c - anew.c) / sigma)[is_known])))
+        sigmas = (np.asarray(curve.c_sigma_stat) for curve in (own, anew))
+        shifts.append(largest_shift(*zip((own.c, anew.c), sigmas, strict=True)))
     return max(shifts)
 
 

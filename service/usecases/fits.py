@@ -317,11 +317,13 @@ class Fits:
             for of_piece, *_ in cut:
                 self._require_power(of_piece.recorded, wanted)
         for of_piece, recorded, during in cut:
-            if budget is None:
+            dipoles = {dipole for *_, dipole in of_piece.recorded.quarter_hashes}
+            if budget is None or not dipoles <= budget.polarisations:
                 budget = self._budget(of_piece)
-                neighbours = neighbours if budget.polarisations else ALONE
-            beside = neighbours.beside(during.since, during.until)
-            report = add_budget(of_piece.fit(wanted.scope, beside=[one for _, one in beside]), budget)
+            # without a budget of its polarisation nothing may borrow what makes it a curve
+            known, found = budget.polarisations, neighbours.beside(during.since, during.until)
+            beside = [(one, of) for one, of in found if of.lines.owners[0][2] in known]
+            report = add_budget(of_piece.fit(wanted.scope, beside=[of for _, of in beside]), budget)
             report = replace(report, lines=[_name_lines(one, named) for one in report.lines])
             neighbours = neighbours.and_also(KeptPiece(during.since, during.until, report.lines))
             yield _versions(recorded, report, during, made, named, beside, instrument), report, during

@@ -58,18 +58,21 @@ class Watch:
         return hash_content([digests, known, MODEL_VERSION, DRIFT_VERSION]) if digests else None
 
     def run(self, part: Part, worker: str) -> None:
-        """Do a part: follow, keep the report, settle the alarms."""
+        """Do a part: follow, keep the report, settle the alarms; nothing where all measured events are gone since."""
         with self.database.read() as stores:
             inputs = self.name_inputs(stores)
-            history = assemble_history(stores.sums.of_kind(DRIFT), find_hardware_changes(self.instrument))
-        report = self._report(history)
+            years = stores.sums.of_kind(DRIFT)
+            history = assemble_history(years, find_hardware_changes(self.instrument)) if inputs else None
+        report = None if history is None else self._report(history)
         with self.database.write() as stores:
             now = self.clock()
+            stores.jobs.complete(part, worker, {"calibrations": []}, now)
+            if history is None or report is None:
+                return
             stores.drift.keep_report(str(inputs), report, now)
             news = tell_news(report, self.instrument.frequency_mhz, cuts_windows=self.cuts_windows)
             stores.alarms.settle((STEP, SLOPE), list(news), now)
             settle_changes(stores, report if self.cuts_windows else {"changes": []}, _list_measured(history), now)
-            stores.jobs.complete(part, worker, {"calibrations": []}, now)
 
     def _report(self, history: History) -> dict[str, Any]:
         from lbacal_core.drift.follow import follow  # with scipy: only workers need it

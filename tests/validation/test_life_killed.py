@@ -16,7 +16,7 @@ def test_a_killed_worker_leaves_what_follows_from_spectra_and_decisions() -> Non
 
 
 def test_60_sequences_show_little_and_refute_what_is_common() -> None:
-    whole = {"undone": [], "within": 100, "compared": 100, "farthest_sigma": 0.2, "twice": 15, "unlike": {}}
+    whole = {"undone": [], "within": 100, "compared": 100, "farthest_sigma": 0.2, "twice": 30, "unlike": {}}
     broken = whole | {"undone": ["array"], "within": 50, "farthest_sigma": 3.3, "unlike": {"a": 3.5}}
     for row, verdict in ((whole, "undecided"), (broken, "refuted")):
         found = verdicts_of("life_killed", "station", [row] * 60)

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lbacal.instants import parse_instant
 from lbacal_core.causes.model import AdoptedCause, Model
+from lbacal_core.curves.validity import Scope
 from lbacal_core.discovery.calibrate import fit_causes
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.simulation.simulation import Simulation
@@ -17,7 +19,9 @@ from lbacal_core.sky.table import read_sky_power
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
-from service.usecases.fits import Fits
+from service.usecases.fits import Fits, Wanted
+from service.usecases.watch import YEAR_US
+from service.usecases.windows import Neighbours
 from tests.service.conftest import Clock
 
 LATE = AdoptedCause("lst_offset", "CS002", "station", 0.15, 0.02)
@@ -47,6 +51,20 @@ def louder(spectra: Spectra) -> Spectra:
     power = spectra.power.copy()
     power[7, 3] *= 1.01
     return replace(spectra, power=power)
+
+
+def test_a_dipole_with_too_few_events_for_a_budget_borrows_nothing_and_the_other_is_fitted(
+    spectra: Spectra, fits: Fits
+) -> None:
+    """The curve that X had borrowed had no systematic error, and the refit of the paths ended in KeyError."""
+    since, until = parse_instant("", "2014-01-01"), parse_instant("", "2015-01-01")
+    wanted = Wanted("antenna", Scope("CS002"), since, until, Model(), "", "")
+    (whole,) = fits.make(fits.fit_causes(spectra, Model()), wanted).pieces
+    beside = Neighbours([replace(whole, since=until, until=until + YEAR_US)], {}, {})
+    few = spectra.select((spectra.dipole == "Y") | np.isin(spectra.event_id, np.unique(spectra.event_id)[:40]))
+    versions = fits.make(fits.fit_causes(few, Model()), wanted, beside).versions
+    found = {(curve.dipole, curve.status) for version in versions for curve in version.curves}
+    assert found == {("X", "too_few_events"), ("Y", "converged")}
 
 
 @pytest.mark.long

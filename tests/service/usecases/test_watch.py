@@ -26,7 +26,7 @@ from service.app import make_app
 from service.factory import Factory
 from service.scheduler import look_for_due_work
 from service.storage.alarms import AlarmsAsked
-from service.storage.jobs import Job, Part
+from service.storage.jobs import Job, Order, Part
 from service.storage.models import ADOPTED, ModelChange
 from service.storage.versions import Version
 from service.usecases.drift import start_of_year
@@ -452,3 +452,12 @@ def test_antennas_whose_windows_are_cut_escaped_what_is_wrong_with_their_station
     assert {one.status for one in made} == {"converged"}
     assert {one.status for one in share_misfits(spoil(0, 1, 3))} == {"misfit"}
     assert [one.status for one in share_misfits(spoil(0))] == [one.status for one in spoil(0)]
+
+
+def test_a_watch_whose_events_are_gone_since_it_was_asked_for_ends_without_a_report(factory: Factory) -> None:
+    with factory.database.write() as stores:
+        number = stores.jobs.add(Order(WATCH, {}, [{}], "", "test"), factory.clock())
+    work(factory)
+    assert number is not None
+    assert get_job(factory, number).state == "done"
+    assert factory.database.look(lambda stores: stores.drift.report_made()) is None
