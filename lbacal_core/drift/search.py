@@ -49,7 +49,7 @@ ALIKE = 0.25
 """Share of the best chi-square of a group from which on series count as those that step."""
 MOST_LEAKAGE = 0.9
 MOST_EXPLAINED = 0.99
-"""Share of the variance of single events beyond which a term is told from another by its chi-square alone."""
+"""Share of the variance of single events that a term explains at most; the logarithm of the rest stays finite."""
 
 
 def over_dates(steps: Floats) -> Floats:
@@ -63,17 +63,17 @@ def over_dates(steps: Floats) -> Floats:
     return np.asarray(2.0 * (logsumexp(steps / 2.0, axis=1) - np.log(steps.shape[1])))
 
 
-def free_noise(chi2: Floats, events: NDArray[np.int64]) -> Floats:
-    """Twice the log likelihood ratio of a term that is not in the model yet, with which the noise of events is less.
+def free_noise(chi2: Floats, values: NDArray[np.int64]) -> Floats:
+    """Twice the log likelihood ratio of a term that is not in the model yet, with which the noise of all modes is less.
 
     Parameters
     ----------
     chi2
         In units of the noise without it.
-    events
-        How many a series has; shapes that broadcast.
+    values
+        Events times modes that a series has, which no chi-square exceeds; shapes that broadcast.
     """
-    return np.asarray(-events * np.log1p(-np.minimum(chi2 / np.maximum(events, 1), MOST_EXPLAINED)))
+    return np.asarray(-values * np.log1p(-np.minimum(chi2 / np.maximum(values, 1), MOST_EXPLAINED)))
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,7 @@ def search_series(series: Series, known_unix: Floats | None = None, false_alarms
         Dates at which the hardware of a series changed, shape (series, change), infinite where there is none: steps
         whose size is free and that are not reported.
     false_alarms
-        Share of all searches that find something by chance.
+        Steps and slopes that a search finds by chance, on average.
     """
     search = _Search(series, known_unix, false_alarms)
     search.fit()  # before it, the season counts as noise of events
@@ -186,8 +186,8 @@ class _Search(SeriesModel):
         alike = np.bincount(self.series.group, weights=is_alike, minlength=len(self.median))
         share = np.minimum(self.leakage * alike, MOST_LEAKAGE) ** 2
         is_added = (top > self.cut) & (size >= (share * of_group)[self.series.group])
-        events = self.is_known.sum(axis=1)
-        gets_slope = is_added & (free_noise(slopes, events) >= over_dates(free_noise(steps, events[:, None])))
+        values = self.is_known.sum(axis=1) * len(self.scale)
+        gets_slope = is_added & (free_noise(slopes, values) >= over_dates(free_noise(steps, values[:, None])))
         self.terms = replace(self.terms, has_slope=self.terms.has_slope | gets_slope)
         rows = np.flatnonzero(is_added & ~gets_slope)
         self.put_steps(rows, best[rows])
