@@ -16,7 +16,8 @@ from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.provenance import Remembered
 from lbacal_core.sky.table import read_sky_power
 from service.config import Settings
-from service.storage.database import Database
+from service.storage.database import Database, Stores
+from service.storage.jobs import Order, Part
 from service.usecases.alarms import Alarms
 from service.usecases.calibrations import Calibrations
 from service.usecases.changes import Changes
@@ -113,7 +114,7 @@ class Factory:
 
         limits_of_gate = ("gate_change", "gate_error", "gate_coverage", "gate_band")
         gate = Gate(*(getattr(self.settings, name) for name in limits_of_gate))
-        return Refits(self.database, self.simulation, self.fits, gate, self.settings, self.clock)
+        return Refits(self.database, self.simulation, self.fits, gate, self.settings, self._name_now, self.clock)
 
     @cached_property
     def fits(self) -> Fits:
@@ -146,7 +147,7 @@ class Factory:
         """The measurement of C over time."""
         from service.usecases.drift_measurement import DriftMeasurement
 
-        return DriftMeasurement(self.database, self.fits, self.clock)
+        return DriftMeasurement(self.database, self.fits, self._name_now, self.clock)
 
     @cached_property
     def changes(self) -> Changes:
@@ -177,6 +178,9 @@ class Factory:
 
         searches = self.investigations if self.settings.nightly_investigations else None
         return DueWork(self.database, self.simulation, self.clock, searches, self.watch)
+
+    def _name_now(self, stores: Stores, part: Part) -> Order | None:
+        return self.due.name_now(stores, part)
 
     @cached_property
     def status(self) -> Status:

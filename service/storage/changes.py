@@ -320,11 +320,11 @@ class ChangeStore(Store):
         inside = [cut for cut in found if (since is None or cut.date > since) and (until is None or cut.date < until)]
         return sorted(inside, key=lambda cut: (cut.station, -1 if cut.antenna is None else cut.antenna, cut.date))
 
-    def of_fit(self, station: str | None, until: Instant) -> tuple[Cut, ...]:
-        """List what changed of a station or of all before a window ends, slow changes of single antennas too."""
+    def of_fits(self, station: str | None) -> tuple[Cut, ...]:
+        """List what changed of a station or of all, slow changes of single antennas too."""
         kept = sorted(self.kept(station), key=lambda one: one.rank)
         slow = {(one.change.kind, cut.station, cut.antenna, cut.dipoles): cut for one in kept for cut in one.follows}
-        return *self.cuts(station, until=until), *(cut for cut in slow.values() if cut.begins_before(until))
+        return *self.cuts(station), *slow.values()
 
     def last_act(self, station: str | None, since: Instant, until: Instant) -> list[int]:
         """How many sources of changes in a window ended, and the number of the last decision: nothing where none did.

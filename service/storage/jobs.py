@@ -232,9 +232,19 @@ class JobStore(Store):
         """Tell that the worker lives."""
         self._change(part, worker, lease_until_us=read_database_clock(self._connection) + lease_us)
 
-    def complete(self, part: Part, worker: str, result: Mapping[str, Any], now: Instant) -> None:
-        """Write the end of a part, in the transaction that writes its results: both happen once or not at all."""
+    def complete(
+        self, part: Part, worker: str, result: Mapping[str, Any], now: Instant, read: Order | None = None
+    ) -> None:
+        """Write the end of a part, in the transaction that writes its results: both happen once or not at all.
+
+        Due work is done under the name of what it read, which may be another than when it was enqueued.
+        """
         self._change(part, worker, state=DONE, result=canonical_json(result), ended_us=now, worker=None)
+        if read is not None:
+            name = {"due_name": read.due_name, "due_key": f"{read.due_name}@{part.job}"}
+            is_other = (job.c.id == part.job) & (job.c.due_name != read.due_name)
+            called_for = canonical_json(read.called_for)
+            self._connection.execute(update(job).where(is_other).values(**name, called_for=called_for))
 
     def fail(self, part: Part, worker: str, error: str, now: Instant) -> None:
         """Write why a part cannot be done."""

@@ -157,13 +157,16 @@ class ModelStore(Store):
         return Model(tuple(cause for text in texts for cause in Model.from_text(text).causes))
 
     def during(self, station: str | None, since: Instant, until: Instant) -> Model:
-        """The adopted causes that act in a window, of one station or of all.
+        """The adopted causes that act in a window, of one station or of all."""
+        return self.of_station(station).during(since / SECOND_US, until / SECOND_US)
+
+    def of_station(self, station: str | None) -> Model:
+        """The adopted causes of one station or of all.
 
         What follows the date is a change and no cause, also where somebody adopted it when that was not refused.
         """
-        acting = self.current().during(since / SECOND_US, until / SECOND_US)
-        acting = Model(tuple(one for one in acting.causes if not follows_date(one.cause, one.parameters)))
-        return acting if station is None else acting.of_stations([station])
+        adopted = Model(tuple(one for one in self.current().causes if not follows_date(one.cause, one.parameters)))
+        return adopted if station is None else adopted.of_stations([station])
 
     def last_change(self, station: str | None, since: Instant, until: Instant) -> ModelChange | None:
         """The newest change that touches a window, of one station or of all (None); None where none does."""

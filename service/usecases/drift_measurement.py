@@ -20,7 +20,7 @@ from lbacal_core.spectra.screening import LARGEST_SHARE_OF_LATER, screen_block
 from lbacal_core.spectra.spectra import Spectra
 from service.storage.database import Database, Stores
 from service.storage.drift import NUMBERS, PathMonths
-from service.storage.jobs import Part
+from service.storage.jobs import Order, Part
 from service.storage.spectra import Window
 from service.storage.sums import DRIFT, Sums
 from service.usecases.drift import find_years, keep_months
@@ -60,6 +60,7 @@ class DriftMeasurement:
 
     database: Database
     fits: Fits
+    name_now: Callable[[Stores, Part], Order | None]
     clock: Callable[[], Instant]
 
     def run(self, part: Part, worker: str) -> None:
@@ -70,6 +71,7 @@ class DriftMeasurement:
         simulation, station = self.fits.simulation, Scope(part.request["station"])
         window = Window(part.request["since"], part.request["until"], station)
         with self.database.read() as stores:
+            read = self.name_now(stores, part)
             references = find_references(stores, simulation.instrument, str(station.station))
             versions = stores.versions.get_many(references.values())
             model = stores.models.during(station.station, window.since, window.until)
@@ -95,7 +97,7 @@ class DriftMeasurement:
         with self.database.write() as stores:
             stores.sums.put(replace(block, arrays=write_events(events)))
             keep_months(stores, str(station.station), window.since, average(str(station.station), events))
-            stores.jobs.complete(part, worker, {"calibrations": []}, self.clock())
+            stores.jobs.complete(part, worker, {"calibrations": []}, self.clock(), read)
 
 
 Curves = Mapping[str, Mapping[int, CalibrationCurve]]

@@ -29,10 +29,10 @@ from lbacal_core.simulation.simulation import Simulation
 from service.storage.database import Database, Stores
 from service.storage.jobs import Order, Part
 from service.storage.models import ModelChange
-from service.usecases.drift import find_years
+from service.usecases.drift import find_years, year_of
 from service.usecases.drift_measurement import KIND as DRIFT
 from service.usecases.drift_measurement import find_references
-from service.usecases.fits import read_fit
+from service.usecases.fits import Wanted, read_fits
 from service.usecases.intake import judge_far
 from service.usecases.investigations import KIND as INVESTIGATION
 from service.usecases.investigations import Investigations
@@ -46,6 +46,7 @@ BY = "scheduler"
 FORM = "sums"
 """What drift keeps: a year that was measured when other numbers were kept is measured again."""
 ALWAYS = {"since": -np.inf, "until": np.inf}
+FOREVER = 1 << 62
 
 
 @dataclass(frozen=True)
@@ -105,6 +106,25 @@ class DueWork:
                 orders += [one for one in due if _is_changed(one) or stores.jobs.called_for(one) is not None]
         return self._add(orders)
 
+    def name_now(self, stores: Stores, part: Part) -> Order | None:
+        """The due work that a part does where it reads the state of now; None if that calls for none like it.
+
+        Between the look that enqueues it and a worker decisions are taken, and taken back: named by what it was
+        enqueued for, it would count as done where it read something else.
+        """
+        asked = part.request
+        if not part.is_due:
+            return None
+        if part.kind == DRIFT:
+            return next((one for one in self._drift(stores, asked["station"]) if one.request == asked), None)
+        since, until, station = asked["since"], asked["until"], asked["station"]
+        held = stores.spectra.contents(since, until, station)
+        if not held:
+            return None
+        content = list(held.items()) if station is None else held[station]
+        order = self._refit(stores, asked["scope"], Scope(station), since, until, content)
+        return order if order.request == {**asked, "promote": True} else None
+
     def enqueue_watch(self) -> list[int]:
         """Enqueue the watch over all stations, once their measured events are others and none waits to be measured.
 
@@ -144,18 +164,22 @@ class DueWork:
                 yield self._refit(stores, "array", Scope(), since, until, list(held.items()))
 
     def _refit(self, stores: Stores, scope: str, of: Scope, since: Instant, until: Instant, content: Any) -> Order:
-        model = stores.models.during(of.station, since, until)
-        part = describe_part(scope, of, since, until, model, promote=True)
+        fit_of = read_fits(stores, scope, of)
+        wanted = fit_of(since, until)
+        part = describe_part(scope, of, since, until, wanted.model, promote=True)
         acts = stores.changes.last_act(of.station, since, until)
-        beside = stores.sums.names_beside(scope, of, since, until)
+        # a window whose own changes or causes are others by now lends nothing
+        names = stores.sums.names_beside(scope, of, since, until)
+        beside = [[*name, *_name_state(fit_of(*year_of(name[0])))] for name in names]
         if beside and scope != "array":  # a change between two windows parts them, wherever it lies
-            cuts = [one for one in stores.changes.cuts(of.station) if scope == "antenna" or one.antenna is None]
+            cuts = [one for one in fit_of(since, FOREVER).changed if one.slow is None]
+            cuts = [one for one in cuts if scope == "antenna" or one.antenna is None]
             beside += [[one.station, one.antenna, one.date] for one in cuts]
         called_for = {
             "spectra": content,
             "model": _name_change(stores, of.station, since, until),
             "beside": beside,
-            "changes": read_fit(stores, scope, of, (since, until)).named,
+            "changes": wanted.named,
             "decisions": {"cuts": acts} if acts else None,
         }
         return self._order(REFIT, part, called_for)
@@ -194,6 +218,11 @@ class DueWork:
     @cached_property
     def _inputs(self) -> Inputs:
         return name_inputs(self.simulation)
+
+
+def _name_state(wanted: Wanted) -> list[Any]:
+    """Name the changes and causes that a fit reads."""
+    return [*wanted.named, *([] if wanted.model.is_plain else [wanted.model.id])]
 
 
 def _is_changed(order: Order) -> bool:

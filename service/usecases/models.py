@@ -101,16 +101,13 @@ class Models:
     ) -> Adoption:
         from lbacal_core.discovery.adopted import promise_of
         from lbacal_core.discovery.calibrate import promise_of_structure
-        from service.usecases.fits import Wanted
+        from service.usecases.fits import read_fits
 
         model, cause = _adopt(before, made, body.finding)
         with self.database.read() as stores:
-            changed = stores.changes.of_fit(made.station, window[1])
+            now = [read_fits(stores, scope, Scope(made.station))(*window) for scope in SCOPES]
             of_window = [one.during(*(edge / 1e6 for edge in window)) for one in (before, model)]
-            wanted = [
-                [Wanted(scope, Scope(made.station), *window, one, by, body.reason, changed) for scope in SCOPES]
-                for one in of_window
-            ]
+            wanted = [[replace(fit, model=one, by=by, reason=body.reason) for fit in now] for one in of_window]
             # with its covariates, which fits without causes do not look at
             spectra = self.fits.load(stores, wanted[1][0])
             neighbours = [self.fits.find_neighbours(stores, one) for one in wanted[1]]

@@ -57,6 +57,7 @@ class Refits:
     fits: Fits
     gate: Gate
     settings: Settings
+    name_now: Callable[[Stores, Part], Order | None]
     clock: Callable[[], Instant]
 
     def request(self, body: RefitBody, by: str) -> int:
@@ -93,7 +94,7 @@ class Refits:
         if part.is_due and self._examine(part, worker):
             return
         with self.database.read() as stores:
-            wanted = self._read(stores, part)
+            wanted, read = self._read(stores, part), self.name_now(stores, part)
             block = self.fits.name_block(stores, wanted)
             spectra = self.fits.load(stores, wanted)
             is_alone = part.request.get("fit") == "year"
@@ -112,7 +113,7 @@ class Refits:
                 stores.budgets.add(made.budgets)
             stores.models.put_gains(gains)
             # the end of the part before the promotions, whose instant must be the last thing before the commit
-            stores.jobs.complete(part, worker, kept.result, self.clock())
+            stores.jobs.complete(part, worker, kept.result, self.clock(), read)
             stores.ledger.append([*kept.promotions, *withdrawn], self.clock)
 
     def _read(self, stores: Stores, part: Part) -> Wanted:
@@ -123,7 +124,7 @@ class Refits:
     def _examine(self, part: Part, worker: str) -> bool:
         """Do a part by the events that came since, where these are no news of most paths; whether that was so."""
         with self.database.read() as stores:
-            wanted = self._read(stores, part)
+            wanted, read = self._read(stores, part), self.name_now(stores, part)
             block = self.fits.name_block(stores, wanted) if wanted.model.is_plain else None
             later = None if block is None else self.fits.read_later(stores, block, wanted.window)
             neighbours = self.fits.find_neighbours(stores, wanted)
@@ -145,7 +146,7 @@ class Refits:
             if versions:
                 keep_told(stores, later.block, pieces, kept.told, [one for of_path in made for one in of_path.pieces])
             kept.result["examined"] += len(found.examined)
-            stores.jobs.complete(part, worker, kept.result, self.clock())
+            stores.jobs.complete(part, worker, kept.result, self.clock(), read)
             stores.ledger.append(kept.promotions, self.clock)
         return True
 

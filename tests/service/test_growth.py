@@ -39,7 +39,7 @@ from service.storage.jobs import Order
 from service.storage.sums import DRIFT, Sums
 from service.usecases import fits
 from service.usecases.drift_measurement import write_events
-from service.usecases.fits import read_fit
+from service.usecases.fits import read_fits
 from service.usecases.intake import judge_far
 from service.usecases.watch import KIND as WATCH
 from tests.service.conftest import (
@@ -154,7 +154,7 @@ def weigh_array(factory: Factory) -> int:
     new = replace(factory.fits, simulation=replace(factory.simulation, most_remembered=FEW))
     tracemalloc.start()
     with factory.database.read() as stores:
-        wanted = read_fit(stores, "array", Scope(), (instant("2015-01-01"), instant("2016-01-01")))
+        wanted = read_fits(stores, "array", Scope())(instant("2015-01-01"), instant("2016-01-01"))
         made = new.make(new.fit_causes(new.load(stores, wanted), Model()), wanted)
     _, most = tracemalloc.get_traced_memory()
     tracemalloc.stop()

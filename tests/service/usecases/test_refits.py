@@ -18,8 +18,8 @@ from service.scheduler import look_for_due_work
 from service.schema.tables import calibration, spectrum
 from service.storage.jobs import Job
 from service.storage.versions import Examined
-from service.wire.bodies import PromotionBody
-from tests.service.conftest import add_spectra, get_version, like, night, refit
+from service.wire.bodies import ChangeBody, DecisionBody, PromotionBody
+from tests.service.conftest import add_spectra, get_version, like, night, refit, work
 
 
 @pytest.fixture
@@ -368,3 +368,29 @@ def test_a_path_that_moves_is_fitted_by_itself_with_the_budget_of_its_station(ye
     whole = next(one for one in made if one.scope == version.scope)
     np.testing.assert_allclose(whole.curves[0].c, version.curves[0].c, rtol=1e-9)  # sums in another order
     np.testing.assert_allclose(whole.curves[0].c_sigma_sys, version.curves[0].c_sigma_sys, rtol=0.05)
+
+
+def test_a_mean_that_was_fitted_while_a_change_was_in_force_is_fitted_again_once_it_is_dismissed(
+    make_service: Callable[..., Factory], campaign: Spectra
+) -> None:
+    """The window beside it lent nothing meanwhile, and nothing that named the work said so."""
+    made, since = make_service(cut_windows=False), int(np.datetime64("2015-01-01", "us").astype(int))
+    add_spectra(made, campaign.select(campaign.time_unix < since / 1e6))
+    night(made)
+    add_spectra(made, campaign.select(campaign.time_unix >= since / 1e6))
+    path = {"station": "CS002", "antenna": 0, "dipole": "X"}
+    entered = ChangeBody.model_validate({"paths": [path], "at": {"value": "2014-07-01"}, "reason": "test"})
+    parts = len(look_for_due_work(made))
+    number = made.changes.enter(entered, "test").number
+    for _ in range(parts):
+        with made.database.write() as stores:
+            part = stores.jobs.claim("test", lease_us=10**9, inputs=made.inputs.text)
+        assert part is not None
+        (made.refits if part.kind == "refit" else made.drift_measurement).run(part, "test")
+    made.changes.decide(number, DecisionBody(decision="dismissed", reason="test"), "test")
+    while look_for_due_work(made):
+        work(made)
+    with made.database.read() as stores:
+        said = stores.ledger.decisive_at([(scope, since + 1) for scope in (Scope(), Scope("CS002"))])
+        versions = stores.versions.get_many([str(one.calibration) for one in said.values()])
+    assert [version.scope.key for version in versions.values() if "beside" not in version.inputs] == []
