@@ -122,7 +122,7 @@ def continue_fit(
             events = _read_paths(one, blocks, simulation)
         else:
             events = _read_mean(one, one.members, blocks, simulation)
-        found = _continue_paths(one, events, simulation, weigh_by_members(others, one.members, int(one.events[0])))
+        found = _continue_paths(one, events, simulation, *weigh_by_members(others, one.members, int(one.events[0])))
         curves |= found.curves
         undecided |= found.undecided
     return Continued(curves, frozenset(undecided))
@@ -226,11 +226,13 @@ def _is_odd(power: Floats, expected: Floats, variance: Floats, scatter: Floats) 
     return np.asarray(may_be_left_out(departure, scatter) | np.any(~is_positive & np.isfinite(variance), axis=1))
 
 
-def _continue_paths(kept: KeptLines, new: _Events, simulation: Simulation, beside: Sequence[Beside]) -> Continued:
-    """C of paths, or of a mean, with some events more."""
+def _continue_paths(
+    kept: KeptLines, new: _Events, simulation: Simulation, beside: Sequence[Beside], share: float
+) -> Continued:
+    """C of paths, or of a mean, with some events more, by a share of the information (`weigh_by_members`)."""
     more = np.isfinite(new.relative_variance).sum(axis=1)
-    share = more / np.maximum(kept.events, 1)
-    is_undecided = np.where(kept.has_c, share > LARGEST_SHARE_OF_LATER, kept.events + more >= MIN_EVENTS)
+    later = more / np.maximum(kept.events, 1)
+    is_undecided = np.where(kept.has_c, later > LARGEST_SHARE_OF_LATER, kept.events + more >= MIN_EVENTS)
     is_undecided = (is_undecided & (more > 0)) | ((new.is_odd | (kept.events < MIN_EVENTS)) & kept.has_c)
     at = np.flatnonzero(kept.has_c & ~is_undecided)
     curves = {}
@@ -239,6 +241,7 @@ def _continue_paths(kept: KeptLines, new: _Events, simulation: Simulation, besid
         lines = lines_of(kept, at)
         if new.lst_hours.size:
             lines = continue_lines(lines, new.power[at], sky, new.relative_variance[at])
+        lines = lines.weigh(share)
         terms, channels = simulation.with_form(kept.form).noise, simulation.instrument.frequency_mhz
         alone = solve_without_interference(lines.slope, lines.intercept, lines.information, terms)
         owners, is_small = [kept.owners[k] for k in at.tolist()], np.zeros(at.size, dtype=bool)
@@ -248,7 +251,7 @@ def _continue_paths(kept: KeptLines, new: _Events, simulation: Simulation, besid
             c = calibration_factor(solution.x, simulation.instrument.antenna_gain)
             sigma = c * np.sqrt(np.einsum("pii->pi", solution.covariance)[:, : channels.size]) / (2.0 * solution.x)
         curves = {
-            kept.owners[k]: (c[j], sigma[j], float(LARGEST_ERROR * (share[k] / LARGEST_SHARE_OF_LATER) ** 0.5))
+            kept.owners[k]: (c[j], sigma[j], float(LARGEST_ERROR * (later[k] / LARGEST_SHARE_OF_LATER) ** 0.5))
             for j, k in enumerate(at.tolist())
             if not is_undecided[k]
         }

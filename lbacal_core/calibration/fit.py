@@ -143,12 +143,14 @@ def fit_calibration(
         sky = simulation.sky_power.of_station(station).at(letter, paths.lst_hours)
         loss = _losses(paths, instrument, cable_of)
         events = int(np.isfinite(paths.relative_variance[0]).sum())
-        others = weigh_by_members(pick_beside(beside, paths.owners[0]), paths.member_lines, events)
-        curves, lines, waves = _fit_paths(paths, sky, simulation, loss, others)
+        others, share = weigh_by_members(pick_beside(beside, paths.owners[0]), paths.member_lines, events)
+        curves, lines, waves = _fit_paths(paths, sky, simulation, loss, others, share)
         chains = [_chain_of(curve, paths, instrument, table, cable_of) for curve, _ in curves]
         of_paths = [(*curve, chain) for curve, chain in zip(curves, chains, strict=True)]
         digests = [spectra.digest(*owner) for owner in paths.owners]
-        kept = keep_lines(paths, lines, [curve for curve, _ in curves], simulation.form, loss, digests)
+        kept = keep_lines(
+            paths, lines.weigh(1.0 / share), [curve for curve, _ in curves], simulation.form, loss, digests
+        )
         return of_paths, paths.anomalies, kept, (station, waves)
 
     # NumPy leaves the interpreter's lock in its loops, so blocks of paths share the cores as threads; the threads that
@@ -234,17 +236,19 @@ def _losses(paths: Paths, instrument: Instrument, cable_of: Cables) -> Floats:
 
 
 def _fit_paths(
-    paths: Paths, sky: Floats, simulation: Simulation, loss: Floats, beside: Sequence[Beside]
+    paths: Paths, sky: Floats, simulation: Simulation, loss: Floats, beside: Sequence[Beside], share: float
 ) -> tuple[list[tuple[CalibrationCurve, Tried]], Lines, GainWaves | None]:
     """The chain fitted to the lines of a batch of paths, with the status of each and the mistakes tried.
 
-    And what their mean says of gains along LST, where the sky may be wrong.
+    And what their mean says of gains along LST, where the sky may be wrong. `share` is the part of the information of
+    the lines that counts (`weigh_by_members`).
     """
     instrument, terms = simulation.instrument, simulation.noise
     events = np.isfinite(paths.relative_variance).sum(axis=1)
     covered = paths.count_lst_bins()
     is_small = (events < MIN_EVENTS) | (covered < MIN_LST_BINS)
-    status, at, lines, (alone, free_alone), together = _fit_chain(paths, events, covered, sky, simulation, loss, beside)
+    chains = _fit_chain(paths, events, covered, sky, simulation, loss, beside, share)
+    status, at, lines, (alone, free_alone), together = chains
     solution, is_free = together.solution, together.is_free
     channels = instrument.frequency_mhz.size
     variance = np.einsum("pii->pi", solution.covariance)
@@ -316,7 +320,7 @@ def _fit_paths(
 
 def _fit_chain(
     paths: Paths, events: NDArray[np.int64], covered: NDArray[np.int64], sky: Floats, simulation: Simulation,
-    loss: Floats, beside: Sequence[Beside],
+    loss: Floats, beside: Sequence[Beside], share: float,
 ) -> tuple[NDArray[np.object_], NDArray[np.intp], Lines, tuple[SeparableSolution, Booleans], Together]:  # fmt: skip
     """The status of each path before its curve is looked at, those that are fitted, all lines, and the chains.
 
@@ -325,6 +329,7 @@ def _fit_chain(
     known, terms, instrument = paths.fits, simulation.noise, simulation.instrument
     forms = chain_forms(instrument)
     lines = fit_lines(paths.power, sky, paths.relative_variance, forms) if known is None else known.lines
+    lines = lines.weigh(share)
     status = np.full(len(paths.owners), CONVERGED, dtype=object)
     status[~_sees_the_sky_vary(lines)] = NOT_IDENTIFIABLE
     status[covered < MIN_LST_BINS] = TOO_FEW_LST_BINS

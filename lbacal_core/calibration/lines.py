@@ -225,6 +225,10 @@ class Lines:
         shared = SharedNoise(self.shared.constant[paths], self.shared.behind[paths])
         return Lines(self.slope[paths], self.intercept[paths], self.information[paths], levels, shared)
 
+    def weigh(self, factor: float) -> Lines:
+        """The same with another multiple of the information."""
+        return self if factor == 1.0 else replace(self, information=factor * self.information)
+
     def exchange(self, at: NDArray[np.intp], part: Lines) -> Lines:
         """The lines with those of some paths exchanged."""
 

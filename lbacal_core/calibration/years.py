@@ -163,12 +163,12 @@ def pick_beside(beside: Sequence[Beside], owner: Owner) -> list[Beside]:
     return [one for one in beside if one.lines.owners[0][::2] == owner[::2]]
 
 
-def weigh_by_members(beside: Sequence[Beside], members: MemberLines | None, events: int) -> list[Beside]:
-    """The windows of a mean, each with the information that it has of how the mean differs between both windows.
+def weigh_by_members(beside: Sequence[Beside], members: MemberLines | None, events: int) -> tuple[list[Beside], float]:
+    """The windows of a mean and the window itself, each with the information that it has.
 
-    Who is away in one of them has its lines from the other (`join_away`) and tells nothing of the difference: its
-    variance is that of the means of the members that both have. The lines of the window itself stand for the variance
-    of the members that it has; what is missing is given to those of the other.
+    Who is away has its lines from another window, times what the members of both gained since (`join_away`): with the
+    share w of the mean its error is w times the error of the ratio of the two groups then. Another window differs from
+    this one by the errors of the members that both have; what the lines of this window do not account for is its own.
 
     Parameters
     ----------
@@ -176,18 +176,33 @@ def weigh_by_members(beside: Sequence[Beside], members: MemberLines | None, even
         Those of the window itself; None where paths are single ones.
     events
         How many the window itself has.
+
+    Returns
+    -------
+    The windows that have a member in common, the information of their lines changed, and the factor of that of the
+    lines of the window itself.
     """
     if members is None:
-        return list(beside)
-    found, own = [], members.variance_of(members.present)
+        return list(beside), 1.0
+    lent, own = 0.0, members.variance_of(members.present) / events
+    power = dict(zip(members.names, members.slope.sum(axis=1).tolist(), strict=True))
+    away, others = power.keys() - members.present, list[tuple[Beside, float, float]]()
     for one in beside:
         there, count = one.lines.members, int(one.lines.events[0])
         common = set() if there is None else members.present & there.present
-        if there is not None and common:
-            missing = (members.variance_of(common) - own) / events + there.variance_of(common) / count
-            share = there.variance_of(there.present) / count / missing
-            found.append(replace(one, lines=replace(one.lines, information=share * one.lines.information)))
-    return found
+        if there is None or not common:
+            continue
+        of_both = members.variance_of(common) / events, there.variance_of(common) / count
+        if here := away & there.present:
+            share = sum(power[name] for name in here) / sum(power.values())
+            lent += share**2 * (of_both[0] - own + of_both[1] + there.variance_of(here) / count)
+            away -= here
+        others.append((one, sum(of_both), there.variance_of(there.present) / count))
+    found = []
+    for one, between, its in others:
+        share = its / max(between - own - lent, its)
+        found.append(replace(one, lines=replace(one.lines, information=share * one.lines.information)))
+    return found, own / (own + lent)
 
 
 def gain_modes(frequency_mhz: Floats) -> Floats:

@@ -104,8 +104,12 @@ def _read_parts(connection: Connection, digests: Iterable[str]) -> Iterable[tupl
 
 BESIDE = "beside"
 """The input that names the spectra of the other windows that a version was fitted together with."""
+BEHIND = "behind"
+"""The input that names the spectra which say what single paths have behind N_RCU, where a change is taken out."""
 BUDGET = "budget"
 """The input that names a budget which was not computed from the version's own spectra and those around them."""
+OF_OTHERS = (BESIDE, BEHIND, BUDGET)
+"""The inputs that other fits lend: what they are made of differs from fit to fit, however little C does."""
 CURVES_REMEMBERED = 1200
 """Versions whose curves stay in memory: those of all paths of the Superterp in two years, about 40 MB."""
 
@@ -240,7 +244,7 @@ class Examined:
 
 
 def _alike(row: Row[Any]) -> tuple[Any, ...]:
-    inputs = {name: value for name, value in json.loads(row.inputs).items() if name not in (BESIDE, BUDGET)}
+    inputs = {name: value for name, value in json.loads(row.inputs).items() if name not in OF_OTHERS}
     return row.scope, row.since_us, row.until_us, canonical_json(inputs)
 
 

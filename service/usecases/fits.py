@@ -41,7 +41,7 @@ from service.storage.changes import Cut
 from service.storage.database import Stores
 from service.storage.spectra import Window
 from service.storage.sums import KeptPiece, Sums, Told, name_pieces, read_pieces, write_pieces
-from service.storage.versions import BUDGET, Examined, Version
+from service.storage.versions import BEHIND, BUDGET, Examined, Version
 from service.usecases.drift import year_of
 from service.usecases.orders import hash_covariates
 from service.usecases.windows import (
@@ -400,7 +400,9 @@ def _name_sizes(whole: FittedCauses, wanted: Wanted, neighbours: Neighbours) -> 
         of = {(one.station, one.antenna) for one in wanted.taken_out}
         behind = [(owner, name) for owner, (_, name) in neighbours.behind.items() if {owner[:2], (owner[0], None)} & of]
         sources = sorted([*map(str, owner), name] for owner, name in behind)
-        named["changes"] = hash_content([wanted.named, sources])
+        named["changes"] = hash_content(wanted.named)
+        if sources:
+            named[BEHIND] = hash_content(sources)
     if whole.model.is_plain:
         return named
     of_sizes = {"model_spectra": whole.recorded.digest()} if wanted.scope == "antenna" else {}
@@ -411,7 +413,8 @@ def _name_lines(lines: KeptLines, named: Mapping[str, str]) -> KeptLines:
     """The lines of a mean under another name where changes are taken out: the same spectra lend other lines then."""
     if "changes" not in named:
         return lines
-    return replace(lines, spectra=np.array([hash_content([one, named["changes"]]) for one in lines.spectra.tolist()]))
+    taken_out = [named[name] for name in ("changes", BEHIND) if name in named]
+    return replace(lines, spectra=np.array([hash_content([one, *taken_out]) for one in lines.spectra.tolist()]))
 
 
 def _versions(

@@ -27,7 +27,7 @@ from lbacal_core.grids import Floats, require_same_grid
 from service.storage.changes import Cut
 from service.storage.ledger import LedgerStore
 from service.storage.models import ModelChange
-from service.storage.versions import BESIDE, BUDGET, Version, mean_over_band
+from service.storage.versions import OF_OTHERS, Version, mean_over_band
 
 # How far two calibration curves differ, channel by channel.
 
@@ -115,7 +115,7 @@ def find_shift(before: Version, after: Version) -> float | None:
 
 
 def _without_spectra(version: Version) -> dict[str, Any]:
-    return {name: value for name, value in version.inputs.items() if name not in ("spectra", BESIDE, BUDGET)}
+    return {name: value for name, value in version.inputs.items() if name not in ("spectra", *OF_OTHERS)}
 
 
 def _members(chain: ReferenceChain | None) -> frozenset[tuple[str, int]] | None:

@@ -300,7 +300,8 @@ def _confirm(
     """The fit as a confirmation of the version in effect, or of one that answered before; None if it is news.
 
     The first near enough of those of the same spectra answers: the same fit has the same answer whenever it is made.
-    Where a decision about a change was taken since, what answered before may be nearer than what is in effect.
+    Else it is the one in effect, or one of before: by a decision that is undone C comes back in several fits, of which
+    the first may still differ.
     """
     promotions = stores.ledger.of_interval(new.scope, *new.window, MOST_RECALLED)
     names = list(dict.fromkeys(str(p.calibration) for p in promotions))
@@ -315,9 +316,8 @@ def _confirm(
     is_decided = said is not None and said.changes not in (None, changes)
     if one is not None and not is_decided:
         return one
-    is_other = is_decided or in_effect is None or find_shift(in_effect, new) is None
-    found = [next((again for name in names if is_other and (again := _examine(new, then[name]))), None), one]
-    return min((again for again in found if again is not None), key=lambda again: again.shift, default=None)
+    recalled = next((again for name in names if (again := _examine(new, then[name]))), None)
+    return min((again for again in (recalled, one) if again is not None), key=lambda again: again.shift, default=None)
 
 
 def _withdraw_gaps(stores: Stores, made: Sequence[Version], part: Part) -> Iterator[Promotion]:

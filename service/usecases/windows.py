@@ -59,7 +59,7 @@ class Neighbours:
 
 
 ALONE = Neighbours((), {}, {})
-AWAY = "members of both windows"
+AWAY = "members of both windows, with their errors"
 """Part of the name of a mean beside other windows: when these lent by other rules the same input gave another C."""
 APART = "changed between"
 """Part of the name of a window that a change parts from the own: it lends less, and C is another."""

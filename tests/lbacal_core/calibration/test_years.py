@@ -313,10 +313,26 @@ def test_two_means_differ_by_the_noise_of_the_members_that_both_have(here, there
         [("CS002", None, "X")], np.array([events[1]]), *[np.ones(1, dtype=bool)] * 2, *[np.ones((1, 1))] * 2,
         np.ones((1, 2, 2)), *[np.ones((1, 1))] * 5, np.array(["name"]), 100.0, members=other,
     )  # fmt: skip
-    (weighed,) = weigh_by_members([Beside(lines, np.ones(1, dtype=bool))], own, events[0])
-    claimed = own.variance_of(own.present) / events[0]
+    (weighed,), share = weigh_by_members([Beside(lines, np.ones(1, dtype=bool))], join_away(own, [other]), events[0])
+    claimed = own.variance_of(own.present) / events[0] / share
+    assert np.var(np.log(of_own)) == pytest.approx(claimed, rel=0.05)
     claimed += other.variance_of(other.present) / events[1] / weighed.lines.information[0, 0, 0]
-    assert np.var(np.log(of_own / of_other)) == pytest.approx(claimed, rel=0.05)
+    assert 0.9 * claimed < np.var(np.log(of_own / of_other)) < 1.05 * claimed, (
+        "or a little less, where members are unlike"
+    )
+
+
+def test_a_mean_with_lent_members_is_no_misfit(scene):
+    """Their errors were not counted: chi^2 per degree of freedom was 1.5, and some sound means were misfits."""
+    found = []
+    for seed in range(8):
+        now, then = (scene.spectra(np.random.default_rng([seed, k]), 100, antennas=4, days=365.0) for k in range(2))
+        then = replace(then, time_unix=then.time_unix + 365 * 86_400.0)
+        other = fit_calibration(then, scene.simulation, "station")
+        some = now.select(np.isin(now.antenna, [1, 3]))
+        found += fit_calibration(some, scene.simulation, "station", beside([other], 1)).curves
+    assert {curve.status for curve in found} == {"converged"}
+    assert np.mean([curve.chi2_per_dof_profiled for curve in found]) == pytest.approx(1.0, abs=0.15)
 
 
 def test_a_mean_without_a_common_member_lends_nothing():
@@ -328,4 +344,4 @@ def test_a_mean_without_a_common_member_lends_nothing():
         [("CS002", None, "X")], np.array([9]), *[np.ones(1, dtype=bool)] * 2, *[np.ones((1, 1))] * 2,
         np.ones((1, 2, 2)), *[np.ones((1, 1))] * 5, np.array(["name"]), 100.0, members=others,
     )  # fmt: skip
-    assert weigh_by_members([Beside(lines, np.ones(1, dtype=bool))], some, 9) == []
+    assert weigh_by_members([Beside(lines, np.ones(1, dtype=bool))], some, 9) == ([], 1.0)
