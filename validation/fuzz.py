@@ -68,10 +68,10 @@ REFIT = {"scope": "station", "station": "CS002", "since": "2014-01-01", "until":
 
 
 def ask_routes(number: int) -> Row:
-    """Ask every route of a server, over HTTP, on SQLite and PostgreSQL in turn."""
+    """Ask every route of a server, over HTTP, on SQLite and PostgreSQL in turn; no key may stand in its log."""
     failures: list[str] = []
     statuses: Counter[int] = Counter()
-    with _server(DATABASES[number % 2]) as (address, keys, _):
+    with _server(DATABASES[number % 2], log_level="debug") as (address, keys, server):
         for path, body in (("spectra", SPECTRA), ("refits", REFIT), ("promotions", PROMOTION)):
             post(f"{address}/v1/{path}", json=body, headers=keys[0]).raise_for_status()
         operations: Any = schemathesis.openapi.from_url(f"{address}/openapi.json").get_all_operations()
@@ -80,6 +80,8 @@ def ask_routes(number: int) -> Row:
             _ask_nasty(operation, address, keys[0], statuses, failures)
             for k, one in enumerate((*keys, None)):
                 _ask_route(operation, one, number * 1000 + k, statuses, failures)
+        log = server.log.read_text(encoding="utf-8", errors="replace")
+        failures += ["a key stands in the log" for key in keys if key["Authorization"].split()[1] in log]
     return _row(sum(statuses.values()), failures, statuses=statuses)
 
 
@@ -317,12 +319,12 @@ def send_bomb(number: int) -> Row:
 
 
 @contextmanager
-def _server(database: str = "sqlite") -> Iterator[tuple[str, list[Key], Process]]:
+def _server(database: str = "sqlite", *, log_level: str = "error") -> Iterator[tuple[str, list[Key], Process]]:
     """The address of a server, the headers of an admin and of a reader, and its process."""
     with (
         tempfile.TemporaryDirectory(prefix="lbacal-fuzz-") as folder,
         open_databases(database, "fuzz") as (url,),
-        run_service(url, Path(folder), log_level="error", max_rate="1e9") as service,
+        run_service(url, Path(folder), log_level=log_level, max_rate="1e9") as service,
     ):
         keys = [{"Authorization": f"Bearer {key}"} for key in (service.key, make_key(url, "read"))]
         yield service.address, keys, service.processes[0]

@@ -69,11 +69,11 @@ class Process:
         self.name = arguments[0]
         self._command = [*PYTHON, program, *arguments]
         self._environment = os.environ | environment
-        self._log = log
+        self.log = log
         self._running = self._start()
 
     def _start(self) -> subprocess.Popen[bytes]:
-        with self._log.open("ab") as log:
+        with self.log.open("ab") as log:
             return subprocess.Popen(self._command, env=self._environment, stdout=log, stderr=log)
 
     @property
