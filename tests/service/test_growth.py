@@ -35,6 +35,7 @@ from lbacal_core.spectra.spectra import Spectra
 from service.app import make_app
 from service.factory import Factory
 from service.scheduler import look_for_due_work
+from service.schema.tables import metadata
 from service.storage.jobs import Order
 from service.storage.sums import DRIFT, Sums
 from service.usecases import fits
@@ -134,8 +135,16 @@ def under_a_sky(spectra: Spectra) -> Spectra:
     return replace(spectra, frequency_mhz=np.array(FREQUENCY_MHZ), power=power)
 
 
+def keep_still(factory: Factory) -> None:
+    """Let PostgreSQL not look at its tables by itself, which reads rows whenever a minute is over."""
+    if factory.database.engine.dialect.name == "postgresql":
+        with factory.database.engine.begin() as connection:
+            for name in metadata.tables:
+                connection.exec_driver_sql(f"ALTER TABLE {name} SET (autovacuum_enabled = false)")
+
+
 def let_wait(factory: Factory, before: int) -> None:
-    """Spectra of one path that wait, behind others; PostgreSQL looks by itself every minute how large tables are."""
+    """Spectra of one path that wait, behind others, in tables whose size PostgreSQL knows."""
     rows = [(f"f{k}", 1.41e9 + k, *PATH.values()) for k in range(before + LASTING_EVENTS)]
     far = np.where(np.arange(len(rows)) < before, np.nan, 30.0)
     with factory.database.write() as stores:
@@ -176,6 +185,7 @@ def work_of(
     write_sky_power(compute_sky_power(instrument, lst_hours=np.arange(24.0)), sky)
     names = sorted({record.station for record in instrument.antennas})
     with open_factory(url, instrument=str(path), sky_power=sky, nightly_investigations=False) as factory:
+        keep_still(factory)
         fitted = replace(factory.simulation, most_remembered=1000)
         factory.simulation = simulations.setdefault(
             (fitted.digest, ""), fitted
