@@ -3,12 +3,13 @@
 The rule. For every calendar year (UTC) that holds usable spectra there is one refit for the array, and for every
 station with spectra in it one of scope station and one of scope antenna, and after all refits an investigation. It is
 due when its window got new spectra or a flag was set or cleared in it, when the watch found that an antenna changed in
-it, or a person lifted that cut, or when what was made is too old: made with
-another instrument, sky power or model version, by another policy of the search, or before the adoption or withdrawal of
-a cause that acts in the window.
-Work is named by exactly these. It is due until a part of that name is *done*: two schedulers, a restart or a missed
-day change nothing, and work that failed or was cancelled is tried again, after ten minutes and then after ever
-longer pauses, because what is due follows from what is stored and not from when anybody looked.
+it, or a person lifted that cut, or when what was made is too old: made with another instrument, sky power or model
+version, by another policy of the search, before the adoption or withdrawal of a cause that acts in the window, or
+while the windows beside it, which are fitted with it, were in another state.
+Work is named by exactly these, and done under the name of what it read. It is due until a part of that name is *done*:
+two schedulers, a restart or a missed day change nothing, and work that failed or was cancelled is tried again, after
+ten minutes and then after ever longer pauses, because what is due follows from what is stored and not from when anybody
+looked.
 """
 
 from __future__ import annotations
