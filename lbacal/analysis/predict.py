@@ -118,6 +118,8 @@ def _draw_stations(predictions: Sequence[Prediction], count: int, rng: np.random
     """Standard normal numbers of events that the paths of a station have in common, by its name."""
     if isinstance(predictions, Prediction):
         raise BadInputError("predictions", "a list of them", "one")
+    if len(instants := sorted({one.content["at"] for one in predictions})) > 1:
+        raise BadInputError("predictions", "those of one instant", " and ".join(instants))
     return {name: rng.standard_normal(count) for name in sorted({one.content["station"] for one in predictions})}
 
 

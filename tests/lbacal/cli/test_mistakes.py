@@ -247,6 +247,9 @@ PYTHON: dict[str, tuple[Callable[[], Any], str]] = {
     "a fit for its curve": (
         lambda: lbacal.calibrate_trace(np.ones(1024), 200.0, see()), 'one curve of a fit such as found["CS002", 17'),
     "one prediction for a list": (lambda: lbacal.draw_together(see(), 10), "predictions: expected a list of them"),
+    "events of two instants": (
+        lambda: lbacal.draw_together([see(), see(at="2014-05-02")], 10), "predictions: expected those of one instant"
+    ),
 }  # fmt: skip
 
 
