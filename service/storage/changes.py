@@ -295,6 +295,10 @@ def split_epochs(scope: Scope, changes: Iterable[KeptChange]) -> list[Epoch]:
     return [Epoch(start, end, begins, ends) for (start, begins), (end, ends) in pairwise(edges)]
 
 
+def _sort_cuts(cuts: Iterable[Cut]) -> list[Cut]:
+    return sorted(cuts, key=lambda cut: (cut.station, -1 if cut.antenna is None else cut.antenna, cut.date))
+
+
 class ChangeStore(Store):
     """Changes that are and were on record."""
 
@@ -318,13 +322,14 @@ class ChangeStore(Store):
         """Where windows are cut, inside a window, in order of station, antenna and date."""
         found = [cut for one in self.kept(station, as_of) for cut in one.cuts]
         inside = [cut for cut in found if (since is None or cut.date > since) and (until is None or cut.date < until)]
-        return sorted(inside, key=lambda cut: (cut.station, -1 if cut.antenna is None else cut.antenna, cut.date))
+        return _sort_cuts(inside)
 
     def of_fits(self, station: str | None) -> tuple[Cut, ...]:
         """List what changed of a station or of all, slow changes of single antennas too."""
-        kept = sorted(self.kept(station), key=lambda one: one.rank)
-        slow = {(one.change.kind, cut.station, cut.antenna, cut.dipoles): cut for one in kept for cut in one.follows}
-        return *self.cuts(station), *slow.values()
+        kept = self.kept(station)
+        ranked = sorted(kept, key=lambda one: one.rank)
+        slow = {(one.change.kind, cut.station, cut.antenna, cut.dipoles): cut for one in ranked for cut in one.follows}
+        return *_sort_cuts(cut for one in kept for cut in one.cuts), *slow.values()
 
     def last_act(self, station: str | None, since: Instant, until: Instant) -> list[int]:
         """How many sources of changes in a window ended, and the number of the last decision: nothing where none did.

@@ -17,7 +17,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -33,7 +33,7 @@ from service.storage.models import ModelChange
 from service.usecases.drift import find_years, year_of
 from service.usecases.drift_measurement import KIND as DRIFT
 from service.usecases.drift_measurement import find_references
-from service.usecases.fits import Wanted, read_fits
+from service.usecases.fits import FitOf, Wanted, read_fits
 from service.usecases.intake import judge_far
 from service.usecases.investigations import KIND as INVESTIGATION
 from service.usecases.investigations import Investigations
@@ -123,7 +123,7 @@ class DueWork:
         if not held:
             return None
         content = list(held.items()) if station is None else held[station]
-        order = self._refit(stores, asked["scope"], Scope(station), since, until, content)
+        order = self._refit(stores, read_fits(stores, station), asked["scope"], Scope(station), since, until, content)
         return order if order.request == {**asked, "promote": True} else None
 
     def enqueue_watch(self) -> list[int]:
@@ -154,26 +154,28 @@ class DueWork:
         return [number for number in made if number is not None]
 
     def _refits(self, stores: Stores, change: ModelChange | None = None) -> Iterator[Order]:
+        fits_of = cache(lambda station: read_fits(stores, station))
         for since, until in find_years(stores):
             if change is not None and not change.touches(since, until):
                 continue
             held = stores.spectra.contents(since, until)
             for station, content in held.items():
                 for scope in ("antenna", "station"):
-                    yield self._refit(stores, scope, Scope(station), since, until, content)
+                    yield self._refit(stores, fits_of(station), scope, Scope(station), since, until, content)
             if held:
-                yield self._refit(stores, "array", Scope(), since, until, list(held.items()))
+                yield self._refit(stores, fits_of(None), "array", Scope(), since, until, list(held.items()))
 
-    def _refit(self, stores: Stores, scope: str, of: Scope, since: Instant, until: Instant, content: Any) -> Order:
-        fit_of = read_fits(stores, scope, of)
-        wanted = fit_of(since, until)
+    def _refit(
+        self, stores: Stores, fit_of: FitOf, scope: str, of: Scope, since: Instant, until: Instant, content: Any
+    ) -> Order:
+        wanted = fit_of(scope, of, since, until)
         part = describe_part(scope, of, since, until, wanted.model, promote=True)
         acts = stores.changes.last_act(of.station, since, until)
         # a window whose own changes or causes are others by now lends nothing
         names = stores.sums.names_beside(scope, of, since, until)
-        beside = [[*name, *_name_state(fit_of(*year_of(name[0])))] for name in names]
+        beside = [[*name, *_name_state(fit_of(scope, of, *year_of(name[0])))] for name in names]
         if beside and scope != "array":  # a change between two windows parts them, wherever it lies
-            cuts = [one for one in fit_of(since, FOREVER).changed if one.slow is None]
+            cuts = [one for one in fit_of(scope, of, since, FOREVER).changed if one.slow is None]
             cuts = [one for one in cuts if scope == "antenna" or one.antenna is None]
             beside += [[one.station, one.antenna, one.date] for one in cuts]
         called_for = {

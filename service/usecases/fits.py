@@ -195,9 +195,9 @@ class Fits:
         self, stores: Stores, scope: str, of: Scope, since: Instant = 0, until: Instant = 0
     ) -> Iterator[KeptPiece]:
         """What is kept of the calendar years beside a window, of fits that would be made again; beside none: of all."""
-        fit_of = read_fits(stores, scope, of)
+        fit_of = read_fits(stores, of.station)
         for block in stores.sums.beside(scope, of, since, until):
-            then = fit_of(block.since, block.until)
+            then = fit_of(scope, of, block.since, block.until)
             if then.is_year and block.inputs == self._name_inputs(then):
                 yield from read_pieces(block.arrays)
 
@@ -496,15 +496,19 @@ def _has_enough(spectra: Spectra, station: str) -> bool:
 def read_part(stores: Stores, request: Mapping[str, Any], model: Model, by: str, reason: str) -> Wanted:
     """The fit that a part of a job asks for."""
     of = Scope(request["station"], request["antenna"], request["dipole"])
-    wanted = read_fits(stores, request["scope"], of)(request["since"], request["until"])
+    wanted = read_fits(stores, of.station)(request["scope"], of, request["since"], request["until"])
     return replace(wanted, model=model, by=by, reason=reason)
 
 
-def read_fits(stores: Stores, scope: str, of: Scope) -> Callable[[Instant, Instant], Wanted]:
-    """The fit of any window of a scope with the model that is adopted and the changes that are in force."""
-    adopted, changed = stores.models.of_station(of.station), stores.changes.of_fits(of.station)
+FitOf = Callable[[str, Scope, Instant, Instant], Wanted]
+"""The fit of a scope, of whose spectra, in a window."""
 
-    def fit_of(since: Instant, until: Instant) -> Wanted:
+
+def read_fits(stores: Stores, station: str | None) -> FitOf:
+    """The fits of a station, or of the array, with the model that is adopted and the changes that are in force."""
+    adopted, changed = stores.models.of_station(station), stores.changes.of_fits(station)
+
+    def fit_of(scope: str, of: Scope, since: Instant, until: Instant) -> Wanted:
         model = adopted.during(since / SECOND_US, until / SECOND_US)
         return Wanted(scope, of, since, until, model, "", "", tuple(one for one in changed if one.begins_before(until)))
 

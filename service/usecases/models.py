@@ -105,7 +105,7 @@ class Models:
 
         model, cause = _adopt(before, made, body.finding)
         with self.database.read() as stores:
-            now = [read_fits(stores, scope, Scope(made.station))(*window) for scope in SCOPES]
+            now = [read_fits(stores, made.station)(scope, Scope(made.station), *window) for scope in SCOPES]
             of_window = [one.during(*(edge / 1e6 for edge in window)) for one in (before, model)]
             wanted = [[replace(fit, model=one, by=by, reason=body.reason) for fit in now] for one in of_window]
             # with its covariates, which fits without causes do not look at

@@ -163,7 +163,7 @@ def weigh_array(factory: Factory) -> int:
     new = replace(factory.fits, simulation=replace(factory.simulation, most_remembered=FEW))
     tracemalloc.start()
     with factory.database.read() as stores:
-        wanted = read_fits(stores, "array", Scope())(instant("2015-01-01"), instant("2016-01-01"))
+        wanted = read_fits(stores, None)("array", Scope(), instant("2015-01-01"), instant("2016-01-01"))
         made = new.make(new.fit_causes(new.load(stores, wanted), Model()), wanted)
     _, most = tracemalloc.get_traced_memory()
     tracemalloc.stop()
