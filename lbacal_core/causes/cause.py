@@ -257,6 +257,8 @@ def read_between(frequency_mhz: Floats, values: Floats, moved_mhz: Floats) -> Fl
     return np.asarray(spline(inside) + beyond)
 
 
+Act = Callable[[ChainTerms, Conditions, Floats], ChainTerms]
+"""What an amount does to the chain."""
 EDGE = 1e-3
 """Share of a range that counts as its end."""
 BEYOND_SIGMA = 3.0
@@ -354,6 +356,8 @@ class Cause(Description):
         Sizes that a fit far from linear may take, in units of `scale`.
     whole_array_size, whole_array_meaning
         The one size that it has where it acts on a whole array, and what it then is; None where any size is possible.
+    does
+        What it does to the chain, where that is no method of its class: `act` without the cause and its template.
     """
 
     spectral_parameters: Sequence[str] = ()
@@ -363,6 +367,7 @@ class Cause(Description):
     sizes: SizeRange = SizeRange()
     whole_array_size: float | None = None
     whole_array_meaning: str = ""
+    does: Act | None = None
 
     def templates(self, conditions: Conditions) -> list[Template]:  # noqa: ARG002 - most have one whatever the data
         """The templates of the family that a scan of these data tries; empty where the data cannot show the cause."""
@@ -400,9 +405,11 @@ class Cause(Description):
         """When it acts: the factor on its size at each event, shape (event, 1)."""
         return np.ones((conditions.time_unix.size, 1))
 
-    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:
+    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
         """The chain with this cause acting by an amount, shape (event, 1) or scalar; an amount of 0 changes nothing."""
-        raise NotImplementedError
+        if self.does is None:
+            raise NotImplementedError
+        return self.does(terms, conditions, amount)
 
     def apply(self, terms: ChainTerms, conditions: Conditions, template: Template, size: float) -> ChainTerms:
         """The chain with this cause at a size."""
