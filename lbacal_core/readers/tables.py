@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from lbacal_core.errors import BadInputError, UnreadableFileError
-from lbacal_core.foreign import read_npz
+from lbacal_core.errors import BadInputError, reading
+from lbacal_core.foreign import read_npz, read_text
 from lbacal_core.grids import Floats, guess_widths
 from lbacal_core.readers.source import Integrations, Source
 
@@ -73,11 +73,9 @@ def _lines(file: Any) -> Iterator[str]:
 
 
 def _rows(path: Path) -> Iterator[Row]:
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            yield from csv.DictReader(_lines(file), skipinitialspace=True)
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise UnreadableFileError(f"{path}: expected a CSV table ({error})") from error
+    broken = reading(f"{path}: expected a CSV table", OSError, UnicodeDecodeError, csv.Error)
+    with broken, path.open(encoding="utf-8-sig", newline="") as file:
+        yield from csv.DictReader(_lines(file), skipinitialspace=True)
 
 
 def _read_header(path: Path) -> dict[str, float]:
@@ -211,10 +209,7 @@ def _read_file(path: Path) -> _Content:
 
 
 def _read_table(path: Path) -> _Content:
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise UnreadableFileError(f"{path}: expected a CSV table ({error})") from error
+    lines = read_text(path).splitlines()
     facts = dict(_split_fact(line) for line in lines if line.startswith("#") and ":" in line)
     rows = list(csv.reader(line for line in lines if line and not line.startswith("#")))
     if len(rows) < 2 or rows[0][0].strip() != "frequency_mhz":

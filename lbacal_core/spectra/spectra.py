@@ -15,13 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core import hdf5
-from lbacal_core.errors import BadInputError, UnreadableFileError
+from lbacal_core.errors import BadInputError, UnreadableFileError, reading
 from lbacal_core.grids import Floats, guess_widths, require_channels, require_same_grid
 from lbacal_core.instrument.antennas import EXPECTED, are_dipole_names
 from lbacal_core.spectra.quarters import Quarters, hash_quarters, hash_window, pick_hashes
 
 FORMAT = "lbacal-spectra-1"
 EARLIEST_UNIX = datetime(2009, 1, 1, tzinfo=UTC).timestamp()
+NO_SPECTRA = "expected a spectra file (HDF5), found something unreadable"
 DAY_S = 86_400.0
 BLOCK_S = 1024 / 200e6
 """Length of a block of LOFAR's transient buffer (1024 samples at 200 MHz), the unit of `blocks` in a spectra file."""
@@ -305,12 +306,9 @@ def read_spectra(path: Path, now_unix: float | None = None) -> Spectra:
         )
     if path.stat().st_size == 0:
         raise UnreadableFileError(f"{path}: expected a spectra file (HDF5), found an empty file")
-    try:
-        with h5py.File(path, "r") as file:
-            content = _read_open_file(file, path.name) | {"arms_deg": _read_arms(file, path.name)}
-    except hdf5.HDF5_FAILURES as error:
-        found = f"something unreadable ({str(error)[:120]}): lbacal import reads other formats"
-        raise UnreadableFileError(f"{path}: expected a spectra file (HDF5), found {found}") from error
+    is_other = f"{path}: {NO_SPECTRA}, where lbacal import may read it"
+    with reading(is_other, *hdf5.HDF5_FAILURES), h5py.File(path, "r") as file:
+        content = _read_open_file(file, path.name) | {"arms_deg": _read_arms(file, path.name)}
     spectra = Spectra(**content, origin=path.name).without_flagged()
     if len(spectra) == 0 and spectra.left_out:
         raise BadInputError(
@@ -331,13 +329,11 @@ def read_columns(content: bytes, place: str, largest_bytes: int) -> dict[str, An
     largest_bytes
         The most that any column may take in memory.
     """
-    try:
-        with h5py.File(h5py.h5f.open_file_image(content), "r") as file:
-            columns = _read_open_file(file, place, largest_bytes)
-    except hdf5.HDF5_FAILURES as error:
-        reason = str(error)[:120]
-        sentence = f"{place}: expected a spectra file (HDF5), found something unreadable ({reason})"
-        raise UnreadableFileError(sentence) from error
+    with (
+        reading(f"{place}: {NO_SPECTRA}", *hdf5.HDF5_FAILURES),
+        h5py.File(h5py.h5f.open_file_image(content), "r") as file,
+    ):
+        columns = _read_open_file(file, place, largest_bytes)
     flagged = np.flatnonzero(columns.pop("flag", np.array([""])) != "")
     if flagged.size:
         raise BadInputError(
