@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
@@ -31,6 +31,9 @@ MAX_COVARIATES = 16
 _COVARIATE = re.compile(r"[a-z][a-z0-9_]{0,39}", re.ASCII)
 
 _COLUMNS = ("event_id", "time_unix", "station", "antenna", "dipole", "blocks")
+_BY_ROW = (*_COLUMNS, "power")
+_BY_ROW_AT_TIMES = ("duration_s", "flag")
+"""Fields with an entry a row: those that all spectra have, and those that some have."""
 _KEY = ("station", "antenna", "dipole", "event_id")
 _KINDS = {
     "frequency_mhz": hdf5.NUMBERS,
@@ -106,7 +109,7 @@ class Spectra:
     def __post_init__(self) -> None:
         require_channels(self.origin, self.frequency_mhz)
         rows = len(self.event_id)
-        for name in (*_COLUMNS[1:], "power"):
+        for name in _BY_ROW[1:]:
             if len(getattr(self, name)) != rows:
                 raise BadInputError(
                     f"{self.origin}: {name}", f"{rows} rows as in event_id", f"{len(getattr(self, name))}"
@@ -193,24 +196,10 @@ class Spectra:
 
     def select(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> Spectra:
         """The spectra of some rows, given by their numbers, in that order, or by a mask of shape (row,)."""
-        return Spectra(
-            self.frequency_mhz,
-            self.power[rows],
-            self.event_id[rows],
-            self.time_unix[rows],
-            self.station[rows],
-            self.antenna[rows],
-            self.dipole[rows],
-            self.blocks[rows],
-            self.resistance_ohm,
-            {name: values[rows] for name, values in self.environment.items()},
-            self.origin,
-            self.width_mhz,
-            None if self.duration_s is None else self.duration_s[rows],
-            None if self.flag is None else self.flag[rows],
-            self.left_out,
-            self.arms_deg,
-        )
+        own = {one.name: getattr(self, one.name) for one in fields(Spectra)}
+        chosen = {name: own[name][rows] for name in (*_BY_ROW, *_BY_ROW_AT_TIMES) if own[name] is not None}
+        environment = {name: values[rows] for name, values in self.environment.items()}
+        return Spectra(**own | chosen | {"environment": environment})
 
     def without_flagged(self) -> Spectra:
         """The spectra that are not flagged; `left_out` counts the others."""
@@ -405,6 +394,14 @@ def _read_arms(file: h5py.File, place: str) -> dict[str, float]:
     return {letter: float(value) for letter, value in found.items()}
 
 
+def lay_out_rows(rows: Sequence[Mapping[str, Any]], channels: int) -> dict[str, Any]:
+    """The columns of `Spectra` from rows that hold a value of each under its name; power has so many `channels`."""
+    columns: dict[str, Any] = {
+        name: np.array([row[name] for row in rows], dtype=_KINDS[name].read_as) for name in _BY_ROW
+    }
+    return columns | {"power": columns["power"].reshape(len(rows), channels)}
+
+
 def _listed(names: list[str]) -> str:
     """Names for a sentence: in quotes where they are odd, and not thousands of them."""
     shown = [name if name.isprintable() and len(name) < 40 else ascii(name)[:40] for name in names[:5]]
@@ -462,21 +459,16 @@ def join_spectra(parts: Sequence[Spectra]) -> Spectra:
                 raise BadInputError(place, f"{first.arms_deg[letter]:g} deg as in {first.origin}", f"{azimuth:g} deg")
     parts = _without_repetitions(parts)
     names = sorted({name for part in parts for name in part.environment})
+    columns: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _BY_ROW}
     durations = [part.duration_s for part in parts if part.duration_s is not None]
     return Spectra(
         first.frequency_mhz,
-        np.concatenate([part.power for part in parts]),
-        np.concatenate([part.event_id for part in parts]),
-        np.concatenate([part.time_unix for part in parts]),
-        np.concatenate([part.station for part in parts]),
-        np.concatenate([part.antenna for part in parts]),
-        np.concatenate([part.dipole for part in parts]),
-        np.concatenate([part.blocks for part in parts]),
-        first.resistance_ohm,
-        {name: np.concatenate([_covariate(part, name) for part in parts]) for name in names},
-        f"{first.origin} and {len(parts) - 1} more",
-        first.width_mhz,
-        np.concatenate(durations) if durations else None,
+        **columns,
+        resistance_ohm=first.resistance_ohm,
+        environment={name: np.concatenate([_covariate(part, name) for part in parts]) for name in names},
+        origin=f"{first.origin} and {len(parts) - 1} more",
+        width_mhz=first.width_mhz,
+        duration_s=np.concatenate(durations) if durations else None,
         left_out={flag: sum(part.left_out.get(flag, 0) for part in parts) for part in parts for flag in part.left_out},
         arms_deg={letter: azimuth for part in parts for letter, azimuth in part.arms_deg.items()},
     )

@@ -21,7 +21,7 @@ from lbacal_core.spectra.screening import (
     predict_daily_variation,
     robust_sigma,
 )
-from lbacal_core.spectra.spectra import Spectra
+from lbacal_core.spectra.spectra import Spectra, lay_out_rows
 from lbacal_core.traces.background import CleaningSettings, PathBackground
 from lbacal_core.traces.trace import StationEvent
 
@@ -106,24 +106,14 @@ def assemble_spectra(
     for name in COVARIATES:
         of_event = {event: values[name] for event, values in facts.environment.items() if name in values}
         if of_event:
-            environment[name] = _column([of_event.get(record["event_id"], np.nan) for record in usable])
+            environment[name] = np.array([of_event.get(record["event_id"], np.nan) for record in usable], dtype=float)
     return Spectra(
         frequency_mhz=np.array(settings.frequency_mhz),
-        power=_column([record["power"] for record in usable]).reshape(len(usable), settings.frequency_mhz.size),
-        event_id=np.array([record["event_id"] for record in usable], dtype=np.str_),
-        time_unix=_column([record["time_unix"] for record in usable]),
-        station=np.array([record["station"] for record in usable], dtype=np.str_),
-        antenna=np.array([record["antenna"] for record in usable], dtype=np.int64),
-        dipole=np.array([record["dipole"] for record in usable], dtype=np.str_),
-        blocks=np.array([record["blocks"] for record in usable], dtype=np.int64),
+        **lay_out_rows(usable, settings.frequency_mhz.size),
         resistance_ohm=settings.resistance_ohm,
         environment=environment,
         origin="traces",
     )
-
-
-def _column(values: list[Any]) -> Floats:
-    return np.array(values, dtype=float)
 
 
 # Events with anomalous power, and why: thunderstorms, failing receivers, saturation (section 3.1 of the paper).
