@@ -7,6 +7,7 @@ import math
 import zipfile
 import zlib
 from collections import Counter
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -72,6 +73,15 @@ def parse_cell(text: str | None, place: str) -> float:
     if not math.isfinite(value):
         raise BadInputError(place, "a finite number, or an empty cell where there is none", text.strip()[:40])
     return value
+
+
+def parse_instant(text: Any, place: str) -> float:
+    """Seconds since 1970 of an ISO 8601 date or instant, UTC unless it says otherwise."""
+    try:
+        instant = datetime.fromisoformat(text)
+        return (instant if instant.tzinfo else instant.replace(tzinfo=UTC)).astimezone(UTC).timestamp()
+    except (TypeError, ValueError, OverflowError) as error:
+        raise BadInputError(place, "an ISO 8601 date or instant", repr(text)) from error
 
 
 def parse_name(value: Any, place: str) -> str:

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.errors import BadInputError, reading
+from lbacal_core.foreign import parse_instant
 from lbacal_core.grids import Floats
 from lbacal_core.hdf5 import HDF5_FAILURES
 from lbacal_core.readers.source import Integrations, Source
-from lbacal_core.readers.tables import parse_time
 
 SUB_BANDS = 512
 LBA_CLOCK_HZ = 200e6
@@ -126,7 +126,7 @@ def _read(
                 expected = f"{path}: {name}: expected statistics with timestamp and integration_time"
                 with reading(expected, *HDF5_FAILURES, IndexError):
                     dataset = file[name]
-                    begin[k] = parse_time(_text(dataset.attrs["timestamp"]), path)
+                    begin[k] = parse_instant(_text(dataset.attrs["timestamp"]), f"{path}: time")
                     length[k] = float(dataset.attrs["integration_time"])
                     power[k] = dataset[()][wanted] / np.float32(length[k])
         yield Integrations(begin + length / 2, length, power)

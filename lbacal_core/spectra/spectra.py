@@ -394,6 +394,11 @@ def _read_arms(file: h5py.File, place: str) -> dict[str, float]:
     return {letter: float(value) for letter, value in found.items()}
 
 
+def name_event(begin_unix: float) -> str:
+    """Event id from the UTC second in which an event or an interval begins: 20110719T110541."""
+    return f"{datetime.fromtimestamp(int(begin_unix), UTC):%Y%m%dT%H%M%S}"
+
+
 def lay_out_rows(rows: Sequence[Mapping[str, Any]], channels: int) -> dict[str, Any]:
     """The columns of `Spectra` from rows that hold a value of each under its name; power has so many `channels`."""
     columns: dict[str, Any] = {

@@ -6,7 +6,6 @@ import re
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 
 from lbacal_core.errors import BadInputError, UnreadableFileError, reading, require_name
 from lbacal_core.hdf5 import HDF5_FAILURES, is_in_file
+from lbacal_core.spectra.spectra import name_event
 
 BLOCK_SAMPLES = 1024
 """Samples of a block (5.12 us at 200 MHz), which is also what one TBB frame holds."""
@@ -475,11 +475,6 @@ def find_files(paths: Iterable[Path]) -> list[Path]:
         else:
             files.append(path)
     return list(dict.fromkeys(files))
-
-
-def name_event(time_unix: float) -> str:
-    """Event id from the UTC second in which the event starts: 20110719T110541."""
-    return f"{datetime.fromtimestamp(int(time_unix), UTC):%Y%m%dT%H%M%S}"
 
 
 def group_traces(references: Sequence[TraceReference], event_id: str | None = None) -> list[StationEvent]:
