@@ -13,7 +13,7 @@ import numpy as np
 
 from lbacal.tables import ABSENT, COLUMNS, NO_ANTENNA, write_format
 from lbacal_core.curves.galcal import FORMAT, KEY, name_path
-from lbacal_core.errors import BadInputError, UnreadableFileError
+from lbacal_core.errors import BadInputError, reading
 from lbacal_core.hdf5 import INTEGERS, NUMBERS, STRINGS, Kind, open_dataset, read_text, read_values
 
 FORMATS = {
@@ -103,10 +103,8 @@ def complete_curves(content: Mapping[str, Any], path: Path) -> dict[str, Any]:
 
 
 def _parse(path: Path, text: str | bytes) -> dict[str, Any]:
-    try:
+    with reading(f"{path}: the JSON text in it cannot be read", ValueError):
         content = json.loads(text)
-    except ValueError as error:
-        raise UnreadableFileError(f"{path}: the JSON text in it cannot be read ({error})") from error
     if not isinstance(content, dict):
         raise BadInputError(str(path), "a JSON object", type(content).__name__)
     return content
@@ -115,10 +113,8 @@ def _parse(path: Path, text: str | bytes) -> dict[str, Any]:
 def _read_ecsv(path: Path) -> tuple[dict[str, Any], str | None]:
     from astropy.table import Table
 
-    try:
+    with reading(f"{path}: not an ECSV table", OSError, ValueError, KeyError):
         table = Table.read(path, format="ascii.ecsv")
-    except (OSError, ValueError, KeyError) as error:
-        raise UnreadableFileError(f"{path}: not an ECSV table ({str(error)[:120]})") from error
     return _columns_of(table), table.meta.get(KEY)
 
 
@@ -126,15 +122,11 @@ def _read_fits(path: Path) -> tuple[dict[str, Any], str | None]:
     from astropy.io import fits
     from astropy.table import Table
 
-    try:
-        with fits.open(path) as hdus:
-            names = [hdu.name for hdu in hdus]
-            table = Table.read(hdus["EFFECTIVE"]) if "EFFECTIVE" in names else Table()
-            columns = {name: _unescape(values) for name, values in _columns_of(table).items()}
-            head = hdus[KEY.upper()].data.tobytes().decode() if KEY.upper() in names else None
-    except (OSError, ValueError) as error:
-        raise UnreadableFileError(f"{path}: not a FITS file ({str(error)[:120]})") from error
-    return columns, head
+    with reading(f"{path}: not a FITS file", OSError, ValueError), fits.open(path) as hdus:
+        names = [hdu.name for hdu in hdus]
+        table = Table.read(hdus["EFFECTIVE"]) if "EFFECTIVE" in names else Table()
+        columns = {name: _unescape(values) for name, values in _columns_of(table).items()}
+        return columns, hdus[KEY.upper()].data.tobytes().decode() if KEY.upper() in names else None
 
 
 def _columns_of(table: Any) -> dict[str, Any]:
@@ -154,16 +146,13 @@ def _unescape(values: Any) -> Any:
 
 
 def _read_hdf5(path: Path) -> tuple[dict[str, Any], str | None]:
-    try:
-        with h5py.File(path, "r") as root:
-            columns = {}
-            for name in (name for name in COLUMNS if name in root):
-                kind, place = _KINDS[COLUMNS[name].kind], f"{path}: {name}"
-                columns[name] = read_values(open_dataset(root, name, kind, place), kind, place)
-            head = root.attrs.get(KEY)
-            return columns, None if head is None else read_text(head, f"{path}: {KEY}")
-    except OSError as error:
-        raise UnreadableFileError(f"{path}: not an HDF5 file ({str(error)[:120]})") from error
+    with reading(f"{path}: not an HDF5 file", OSError), h5py.File(path, "r") as root:
+        columns = {}
+        for name in (name for name in COLUMNS if name in root):
+            kind, place = _KINDS[COLUMNS[name].kind], f"{path}: {name}"
+            columns[name] = read_values(open_dataset(root, name, kind, place), kind, place)
+        head = root.attrs.get(KEY)
+        return columns, None if head is None else read_text(head, f"{path}: {KEY}")
 
 
 def join_rows(place: str, columns: Mapping[str, Any], head: Mapping[str, Any]) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -68,7 +69,7 @@ class Stage:
         stage = CoreStage(
             name=self.name or self.kind,
             kind=self.kind,
-            gain=None if self.gain is None else convert_gain(self.gain, frequency_mhz).copy(),
+            gain=None if self.gain is None else convert_gain(self.gain, frequency_mhz),
             noise_k=noise,
             is_free=is_free,
             error_k=convert_number(self.error, u.K),
@@ -134,16 +135,9 @@ def convert_gain(gain: Any, frequency_mhz: Floats, largest: float = np.inf) -> F
 
 
 def _convert_gain(gain: Any, frequency_mhz: Floats) -> Floats:
-    if callable(gain):
-        return _spread(np.asarray(gain(frequency_mhz), dtype=float), frequency_mhz, "chain: gain")
     if isinstance(gain, str | Path):
         return read_touchstone_gain(Path(gain), frequency_mhz)
-    if isinstance(gain, tuple):
-        nu, values = convert_numbers(gain[0], u.MHz), _linear(gain[1])
-        if nu.shape != values.shape or nu.size < 2 or np.any(np.diff(nu) <= 0):
-            raise BadInputError("chain: stage", "a gain for each of two or more rising frequencies", f"{nu.shape}")
-        return np.exp(interpolate(nu, np.log(values), frequency_mhz, "chain: stage"))
-    return _spread(_linear(gain), frequency_mhz, "chain: gain")
+    return _spread(gain, _linear, frequency_mhz, "chain: gain", _interpolate_gain)
 
 
 def mismatch(antenna: Any, load: Any = 50.0, off: complex = 0.0) -> Callable[[Floats], Floats]:
@@ -227,10 +221,7 @@ def _impedance(given: Any, frequency_mhz: Floats, name: str) -> Impedance:
     place = f"chain: impedance of {name}"
     if isinstance(given, str | Path):
         return read_impedance(Path(given), frequency_mhz)
-    if isinstance(given, tuple):
-        return interpolate_impedance(convert_numbers(given[0], u.MHz), _ohm(given[1]), frequency_mhz, place)
-    found = np.asarray(given(frequency_mhz), dtype=complex) if callable(given) else _ohm(given)
-    return require_passive(_spread(found, frequency_mhz, place), place)
+    return require_passive(_spread(given, _ohm, frequency_mhz, place, interpolate_impedance), place)
 
 
 def _ohm(given: Any) -> Impedance:
@@ -240,20 +231,26 @@ def _ohm(given: Any) -> Impedance:
         raise refuse_unit(given, u.ohm) from error
 
 
-def _spread(found: NDArray[T], frequency_mhz: Floats, place: str) -> NDArray[T]:
-    """One number, or one a channel, on the channels."""
+def _spread(
+    given: Any, read: Callable[[Any], NDArray[T]], frequency_mhz: Floats, place: str, between: Callable[..., NDArray[T]]
+) -> NDArray[T]:
+    """A number, one a channel, a table (frequency, number) or a function of the frequency in MHz, shape (freq,)."""
+    if isinstance(given, tuple) and len(given) == 2:
+        return between(convert_numbers(given[0], u.MHz), read(given[1]), frequency_mhz, place)
+    found = read(given(frequency_mhz) if callable(given) else given)
     if found.shape not in ((), (1,), frequency_mhz.shape):
         raise BadInputError(place, f"one number, or one of each of {frequency_mhz.size} channels", f"{found.size}")
-    return np.broadcast_to(found, frequency_mhz.shape)
+    return np.broadcast_to(found, frequency_mhz.shape).copy()
 
 
 def spread_numbers(given: Any, unit: u.UnitBase, frequency_mhz: Floats, place: str) -> Floats:
-    """A number, a table (frequency, number) or a function of the frequency in MHz, shape (freq,)."""
-    if callable(given):
-        return _spread(np.asarray(given(frequency_mhz), dtype=float), frequency_mhz, place).copy()
-    if isinstance(given, tuple) and len(given) == 2:
-        return interpolate(convert_numbers(given[0], u.MHz), convert_numbers(given[1], unit), frequency_mhz, place)
-    return _spread(convert_numbers(given, unit), frequency_mhz, place).copy()
+    """Numbers in a unit on the channels, shape (freq,)."""
+    return _spread(given, partial(convert_numbers, unit=unit), frequency_mhz, place, interpolate)
+
+
+def _interpolate_gain(nu: Floats, gain: Floats, frequency_mhz: Floats, place: str) -> Floats:
+    """A table of gains on the channels, linear in dB."""
+    return np.exp(interpolate(nu, np.log(gain), frequency_mhz, place))
 
 
 def _linear(gain: Any) -> Floats:

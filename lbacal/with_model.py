@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from lbacal_core.errors import BadInputError, UnreadableFileError, require_kind
+from lbacal_core.errors import BadInputError, UnreadableFileError, reading, require_kind
 
 if TYPE_CHECKING:
     from lbacal_core.calibration.left_open import OpenTerm
@@ -80,10 +80,8 @@ def read_report(
         return given.report, given.number
     require_kind(option, given, str | Path, "an investigation, a finding, or a report such as 'R.json#0'")
     name, number = _split(str(given))
-    try:
+    with reading(f"{option} {name}: no report of an investigation can be read", OSError, ValueError):
         content = json.loads(Path(name).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise UnreadableFileError(f"{option} {name}: no report of an investigation can be read: {error}") from error
     if not isinstance(content, dict) or field not in content:
         raise BadInputError(f"{option} {name}", "a report of lbacal investigate", "another JSON file")
     return content, number

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import Any
 
@@ -54,6 +55,16 @@ class BadInputError(LbacalError, status=422, code="bad_input"):
 
 class UnreadableFileError(LbacalError, status=400, code="unreadable_file"):
     """A file that is missing, empty, truncated or of another kind."""
+
+
+@contextmanager
+def reading(sentence: str, *failures: type[Exception]) -> Iterator[None]:
+    """Say in a sentence, with the reason, that a file cannot be read; `failures` are what a library then raises."""
+    try:
+        yield
+    except failures as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise UnreadableFileError(f"{sentence} ({reason[:LONGEST_FOUND]})") from error
 
 
 class UnknownNameError(LbacalError, status=404, code="unknown_name"):

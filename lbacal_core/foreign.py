@@ -7,29 +7,33 @@ import math
 import zipfile
 import zlib
 from collections import Counter
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.errors import BadInputError, UnreadableFileError
+from lbacal_core.errors import BadInputError, UnreadableFileError, reading
 from lbacal_core.grids import Floats
 
 # Values of JSON files, each checked, with one clear sentence where one is not what it should be.
 
 
+def read_text(path: Path, expected: str = "text") -> str:
+    """Read a text file, with one clear sentence when it is not one; `expected` is what the text should be."""
+    broken = reading(f"{path}: expected {expected}, found something else", UnicodeDecodeError)
+    with broken, reading(f"{path}: cannot be read", OSError):
+        return path.read_text(encoding="utf-8")
+
+
 def read_json(path: Path) -> Any:
     """Read a JSON file, with one clear sentence when it is not one."""
-    try:
-        text = path.read_text(encoding="utf-8")
-        if not text.strip():
-            raise UnreadableFileError(f"{path}: expected JSON, found an empty file")
+    text = read_text(path, "JSON")
+    if not text.strip():
+        raise UnreadableFileError(f"{path}: expected JSON, found an empty file")
+    with reading(f"{path}: expected JSON, found something else", ValueError, RecursionError):
         return json.loads(text, object_pairs_hook=require_unique_fields)
-    except OSError as error:
-        raise UnreadableFileError(f"{path}: cannot be read ({error.strerror})") from error
-    except (ValueError, RecursionError) as error:
-        raise UnreadableFileError(f"{path}: expected JSON, found something else ({error})") from error
 
 
 def require_unique_fields(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -58,6 +62,28 @@ def parse_number(value: Any, place: str) -> float:
     raise BadInputError(place, "a finite number", repr(value))
 
 
+def parse_cell(text: str | None, place: str) -> float:
+    """Read a finite number of a table of texts; NaN for an empty cell."""
+    if text is None or not text.strip():
+        return math.nan
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise BadInputError(place, "a finite number, or an empty cell where there is none", text.strip()[:40])
+    return value
+
+
+def parse_instant(text: Any, place: str) -> float:
+    """Seconds since 1970 of an ISO 8601 date or instant, UTC unless it says otherwise."""
+    try:
+        instant = datetime.fromisoformat(text)
+        return (instant if instant.tzinfo else instant.replace(tzinfo=UTC)).astimezone(UTC).timestamp()
+    except (TypeError, ValueError, OverflowError) as error:
+        raise BadInputError(place, "an ISO 8601 date or instant", repr(text)) from error
+
+
 def parse_name(value: Any, place: str) -> str:
     """Read a printable name."""
     if not isinstance(value, str) or not value or not value.isprintable():
@@ -84,13 +110,13 @@ def read_npz(path: Path, wanted: tuple[str, ...], words: str) -> dict[str, NDArr
     words
         What the file should hold, for the message: ``Jones terms``.
     """
-    try:
-        # Opened here, because np.load leaves a broken file open.
-        with path.open("rb") as file:
-            arrays = np.load(file, allow_pickle=False)
-            content = {key: arrays[key] for key in arrays.files} if isinstance(arrays, np.lib.npyio.NpzFile) else {}
-    except _FAILURES as error:
-        raise UnreadableFileError(f"{path}: expected a NumPy .npz file of {words}, found a broken one") from error
+    # Opened here, because np.load leaves a broken file open.
+    with (
+        reading(f"{path}: expected a NumPy .npz file of {words}, found a broken one", *_FAILURES),
+        path.open("rb") as file,
+    ):
+        arrays = np.load(file, allow_pickle=False)
+        content = {key: arrays[key] for key in arrays.files} if isinstance(arrays, np.lib.npyio.NpzFile) else {}
     missing = [key for key in wanted if key not in content]
     if missing:
         raise BadInputError(str(path), f"the arrays {', '.join(wanted)}", f"no {', '.join(missing)}")

@@ -20,7 +20,7 @@ FOR_LOFAR = {
 }
 """What may name LOFAR, its letters or its band, and why."""
 PIVOTS = {
-    "causes/amplifier.py": "the slope of N_LNA is about 55 MHz by its definition",
+    "causes/chain.py": "the slope of N_LNA is about 55 MHz by its definition",
     "instrument/chain.py": "the slope of N_LNA is about 55 MHz by its definition",
     "causes/cause.py": "levels at 55 MHz by the definition of their causes",
     "causes/sky.py": "levels at 55 MHz, tau at 30 MHz by their definitions",

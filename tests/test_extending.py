@@ -55,8 +55,7 @@ def test_a_cause_takes_two_files_and_an_axis_one(repository: Path, tmp_path: Pat
     (of_class, text), (of_list, line), (of_axes, entry) = blocks.items()
     amplifier, catalogue, axes = (tmp_path / name for name in (of_class, of_list, of_axes))
     amplifier.write_text(f"{amplifier.read_text()}\n\n{text}")
-    listed = catalogue.read_text().replace("    GainDrift(),\n", f"    GainDrift(),\n{line}")
-    catalogue.write_text(listed.replace("    GainDrift,\n", "    GainDrift,\n    GainWind,\n"))
+    catalogue.write_text(catalogue.read_text().replace("    chain.GainDrift(),\n", f"    chain.GainDrift(),\n{line}"))
     axes.write_text(axes.read_text().replace("    *(_period", f"{entry}    *(_period"))
     environment = {**os.environ, "PYTHONPATH": str(tmp_path), "OPENBLAS_NUM_THREADS": "1"}
     done = subprocess.run(

@@ -15,7 +15,6 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from lbacal_core.antenna.names import load_antenna
-from lbacal_core.calibration.antenna_noise import draw_noise
 from lbacal_core.calibration.budget import compute_budget, electronics_sigma
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves.covariance import Budget
@@ -24,6 +23,7 @@ from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.matching import RESISTANCE_OHM
 from lbacal_core.simulation.simulation import Simulation
+from lbacal_core.traces.noise import draw_noise
 from lbacal_core.traces.voltage import calibrate_trace
 from lbacal_paper.reference_source import HEIGHT_M, LABORATORY_M, LEFT_OF_FLOOR, floor_factor, near_field_factor
 from lbacal_paper.showers.comparison import Displacement, compare_calibrations
@@ -193,7 +193,7 @@ def predict_noise(seed: int) -> Row:
         pull.append((simulation.electronics(curve) - electronics) / sigma)
         whole = slope * sky_power.at(dipole, lst) + electronics
         off.append(simulation.background(curve, lst) / whole - 1.0)
-    drawn = draw_noise(whole[0], instrument.frequency_mhz, SAMPLES, RATE_MHZ, rng, realisations=40)
+    drawn = draw_noise(instrument.frequency_mhz, np.tile(whole[0], (40, 1)), SAMPLES, RATE_MHZ, rng)
     expected = whole[0].sum() * RESISTANCE_OHM
     channel = int(rng.integers(1, whole.shape[1] - 1))
     power = np.abs(np.fft.rfft(drawn, axis=1)) ** 2 * 2 / (SAMPLES * RATE_MHZ) / RESISTANCE_OHM

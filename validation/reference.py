@@ -71,7 +71,7 @@ def _describe_cause(cause: Cause | AntennaCause) -> str:
     kind = type(cause)
     is_one_of_several = sum(type(one) is kind for one in (*CAUSES, *ANTENNA_CAUSES)) > 1
     says = f"{cause.meaning[0].upper()}{cause.meaning[1:]}" if is_one_of_several else _first_line(kind).rstrip(".")
-    does = f" {_first_line(cause.act)}" if isinstance(cause, Cause) else ""
+    does = f" {_first_line(cause.does or cause.act)}" if isinstance(cause, Cause) else ""
     tried = "" if kind.templates is Cause.templates else _first_line(kind.templates)
     is_one = tried.startswith("One")  # says no more than what it needs, which stands at the end of the page
     targets = "any" if set(cause.scopes) == ANY else ", ".join(cause.scopes)

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.antenna.model import Complexes, JonesTable
-from lbacal_core.errors import BadInputError, MissingExtraError, UnreadableFileError
-from lbacal_core.foreign import read_npz
+from lbacal_core.errors import BadInputError, MissingExtraError, UnreadableFileError, reading
+from lbacal_core.foreign import read_npz, read_text
 from lbacal_core.grids import Floats
 
 COLUMNS = ("frequency_mhz", "zenith_deg", "azimuth_deg", "theta_re", "theta_im", "phi_re", "phi_im")
@@ -43,10 +43,7 @@ def read_jones_npz(path: Path) -> JonesTable:
 
 def read_jones_text(path: Path) -> JonesTable:
     """Read a file of Jones terms, telling its kind from its first lines."""
-    try:
-        lines = path.read_text().splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise UnreadableFileError(f"{path}: expected text ({error})") from error
+    lines = read_text(path).splitlines()
     head = "\n".join(lines[:400])
     kinds: list[tuple[bool, Callable[[list[str], Path], Iterator[Row]]]] = [
         (any(line.replace(" ", "") == ",".join(COLUMNS) for line in lines[:100]), _rows_of_text),
@@ -268,14 +265,11 @@ COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 
 def read_aera_xml(path: Path) -> JonesTable:
     """Read the heights of one dipole."""
-    try:
-        text = COMMENT.sub("", path.read_text())
-    except (OSError, UnicodeDecodeError) as error:
-        raise UnreadableFileError(f"{path}: expected text ({error})") from error
+    text = COMMENT.sub("", read_text(path))
     lists: dict[str, Floats] = {}
     of_frequency: dict[tuple[str, float], Floats] = {}
     for name, attributes, values in TERM.findall(text):
-        numbers = _numbers_of_text(values, f"{path}: {name}")
+        numbers = np.array(_numbers(values.split(), f"{path}: {name}"))
         named = IDENTIFIER.search(attributes)
         if named is None:
             lists[name] = numbers
@@ -315,16 +309,6 @@ def _height(
     return np.asarray(parts[0] * np.exp(1j * np.radians(parts[1])))
 
 
-def _numbers_of_text(text: str, place: str) -> Floats:
-    try:
-        values = np.array(text.split(), dtype=float)
-    except ValueError as error:
-        raise BadInputError(place, "numbers", text.strip()[:40]) from error
-    if not np.all(np.isfinite(values)):
-        raise BadInputError(place, "finite numbers", "another")
-    return values
-
-
 # Antenna models of NuRadioMC: a pickled list of arrays with the vector effective length by frequency and direction.
 #
 # A pickle may name any function of any module to be called when it is read. This reader knows the few of NumPy's that
@@ -333,6 +317,10 @@ def _numbers_of_text(text: str, place: str) -> Floats:
 MHZ_PER_UNIT = 1e3
 """NuRadioMC's frequencies are in GHz, its angles in rad, its lengths in m."""
 NURADIO_COLUMNS = ("frequency", "theta", "phi", "H_phi", "H_theta")
+_UNPICKLING = (
+    pickle.UnpicklingError, OSError, EOFError, ValueError, TypeError, LookupError, AttributeError, ImportError,
+    MemoryError,
+)  # fmt: skip
 
 
 def _encode(text: str, encoding: str) -> bytes:
@@ -374,15 +362,11 @@ def read_nuradio_pickle(path: Path) -> JonesTable:
     and arrays with one row a frequency and direction; azimuth runs counterclockwise from east.
     """
     expected = f"a pickled list of four angles and the arrays {', '.join(NURADIO_COLUMNS)}"
-    try:
-        with path.open("rb") as file:
-            content = _Arrays(file).load()
+    with reading(f"{path}: expected {expected}", *_UNPICKLING), path.open("rb") as file:
+        content = _Arrays(file).load()
         frequency, zenith, phi, h_phi, h_theta = (np.asarray(column).ravel() for column in content[4:9])
         rows = (frequency.astype(float) * MHZ_PER_UNIT, np.degrees(zenith.astype(float)), np.degrees(phi.astype(float)))
         values = (h_theta.astype(complex), h_phi.astype(complex))
-    except (pickle.UnpicklingError, OSError, EOFError, ValueError, TypeError, LookupError, AttributeError, ImportError,
-            MemoryError) as error:  # fmt: skip
-        raise UnreadableFileError(f"{path}: expected {expected} ({error})") from error
     if len({column.size for column in (*rows, *values)}) != 1:
         raise UnreadableFileError(f"{path}: expected {expected}, found arrays of different sizes")
     kept = (rows[0] > 0) & (rows[1] <= 90.0 + 1e-6)
@@ -403,12 +387,10 @@ def read_uvbeam(path: Path) -> JonesTable:
         from pyuvdata import UVBeam
     except ImportError as error:
         raise MissingExtraError(f"{path}, a beam of pyuvdata,", "import") from error
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            beam = UVBeam.from_file(str(path))
-    except (OSError, ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
-        raise UnreadableFileError(f"{path}: expected a BeamFITS file ({error})") from error
+    broken = reading(f"{path}: expected a BeamFITS file", OSError, LookupError, ValueError, TypeError, AttributeError)
+    with broken, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        beam = UVBeam.from_file(str(path))
     found = f"a {beam.beam_type} beam on {beam.pixel_coordinate_system}"
     if beam.beam_type != "efield" or beam.pixel_coordinate_system != "az_za":
         raise BadInputError(str(path), "an E-field beam by azimuth and zenith angle (efield, az_za)", found)

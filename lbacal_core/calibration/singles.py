@@ -20,9 +20,16 @@ from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.blocks import SpectraBlock
 from lbacal_core.spectra.screening import screen_block
+from lbacal_core.spectra.spectra import Spectra
 
 MIN_EVENTS = 60
 """Fewer events leave C worse than 2 % and the noise levels worse than 10 %."""
+
+
+def has_enough(spectra: Spectra) -> bool:
+    """Whether any path has the events that a fit needs."""
+    paths = np.stack([codes for name, (_, codes) in spectra.key_codes.items() if name != "event_id"])
+    return len(spectra) > 0 and bool(np.unique(paths, axis=1, return_counts=True)[1].max() >= MIN_EVENTS)
 
 
 @dataclass(frozen=True)

@@ -257,6 +257,8 @@ def read_between(frequency_mhz: Floats, values: Floats, moved_mhz: Floats) -> Fl
     return np.asarray(spline(inside) + beyond)
 
 
+Act = Callable[[ChainTerms, Conditions, Floats], ChainTerms]
+"""What an amount does to the chain."""
 EDGE = 1e-3
 """Share of a range that counts as its end."""
 BEYOND_SIGMA = 3.0
@@ -354,6 +356,10 @@ class Cause(Description):
         Sizes that a fit far from linear may take, in units of `scale`.
     whole_array_size, whole_array_meaning
         The one size that it has where it acts on a whole array, and what it then is; None where any size is possible.
+    does
+        What it does to the chain, where that is no method of its class: `act` without the cause and its template.
+    since_unix, until_unix
+        The interval in which it acts, s UTC, half open; None where an end is open.
     """
 
     spectral_parameters: Sequence[str] = ()
@@ -363,6 +369,9 @@ class Cause(Description):
     sizes: SizeRange = SizeRange()
     whole_array_size: float | None = None
     whole_array_meaning: str = ""
+    does: Act | None = None
+    since_unix: int | None = None
+    until_unix: int | None = None
 
     def templates(self, conditions: Conditions) -> list[Template]:  # noqa: ARG002 - most have one whatever the data
         """The templates of the family that a scan of these data tries; empty where the data cannot show the cause."""
@@ -400,13 +409,22 @@ class Cause(Description):
         """When it acts: the factor on its size at each event, shape (event, 1)."""
         return np.ones((conditions.time_unix.size, 1))
 
-    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:
+    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
         """The chain with this cause acting by an amount, shape (event, 1) or scalar; an amount of 0 changes nothing."""
-        raise NotImplementedError
+        if self.does is None:
+            raise NotImplementedError
+        return self.does(terms, conditions, amount)
 
     def apply(self, terms: ChainTerms, conditions: Conditions, template: Template, size: float) -> ChainTerms:
         """The chain with this cause at a size."""
-        return self.act(terms, conditions, template, size * self.time_profile(conditions, template))
+        profile = self.time_profile(conditions, template) * self.is_inside(conditions)[:, None]
+        return self.act(terms, conditions, template, size * profile)
+
+    def is_inside(self, conditions: Conditions) -> NDArray[np.bool_]:
+        """Whether each event lies in the interval of the cause, shape (event,)."""
+        is_since = True if self.since_unix is None else conditions.time_unix >= self.since_unix
+        is_before = True if self.until_unix is None else conditions.time_unix < self.until_unix
+        return np.ones(conditions.time_unix.shape, dtype=bool) & is_since & is_before
 
     def finer_templates(self, conditions: Conditions, template: Template) -> list[Template]:  # noqa: ARG002
         """Templates about one that was found, on a finer grid than that of `templates`."""
@@ -433,8 +451,8 @@ class Cause(Description):
         return template, 1.0
 
     def known_events(self, conditions: Conditions, template: Template) -> NDArray[np.bool_]:
-        """Events on which every covariate of the template is known, shape (event,)."""
-        return conditions.known_events(*self.covariates(template))
+        """Events with every covariate of the template, or outside the interval, which need none, shape (event,)."""
+        return np.asarray(conditions.known_events(*self.covariates(template)) | ~self.is_inside(conditions))
 
 
 def signature(cause: Cause, terms: ChainTerms, conditions: Conditions, template: Template, size: float = 0.0) -> Floats:

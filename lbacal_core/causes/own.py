@@ -12,7 +12,8 @@ from typing import Any
 from lbacal_core.causes.catalogue import CAUSES, DESCRIPTIONS
 from lbacal_core.causes.cause import Cause, Conditions, Template
 from lbacal_core.causes.grammar import Sentence, columns_of, in_words, parts_of, require_sentence
-from lbacal_core.errors import BadInputError, UnreadableFileError
+from lbacal_core.errors import BadInputError
+from lbacal_core.foreign import read_json
 
 FORMAT = "lbacal-causes-1"
 _NAME = re.compile(r"[a-z][a-z0-9_]{2,40}")
@@ -59,12 +60,10 @@ def read_own_causes(path: Path | None) -> tuple[Cause, ...]:
         return ()
     place = f"causes {path}"
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = read_json(path)
         if content["format"] != FORMAT:
             raise BadInputError(f"{place}: format", FORMAT, repr(content["format"]))
         named = [(one["name"], one) for one in content["causes"]]
-    except OSError as error:
-        raise UnreadableFileError(f"{place}: {error}") from error
     except (ValueError, KeyError, TypeError) as error:
         expected = f'a file as `lbacal causes add` writes it: {{"format": "{FORMAT}", "causes": [...]}}'
         raise BadInputError(place, expected, f"{type(error).__name__}: {error}") from error

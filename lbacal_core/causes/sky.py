@@ -133,26 +133,14 @@ NO_DIRECTIONS = "the own sky and antenna model do not cover these channels"
 NO_SUN = "the Sun is always up, or always down, in these data, or no antenna model covers these channels"
 
 
-@dataclass(frozen=True)
-class LstOffset(Cause):
-    """Sidereal time of the data or of the simulation is off."""
+def move_in_time(terms: ChainTerms, conditions: Conditions, amount: Floats) -> ChainTerms:
+    """P_sky at a later LST; the amount is in hours."""
+    return replace(terms, sky=conditions.later(terms.sky, np.ravel(amount)))
 
-    identifier: str = "lst_offset"
-    unit: str = "h"
-    meaning: str = "the sidereal time of data or simulation is off"
-    confirm: str = (
-        "ask whether lst_h is the edge or the centre of a bin; compare the transit of a bright source in "
-        "interferometric data with its right ascension"
-    )
-    step: float = 0.005
-    sizes: SizeRange = SizeRange(-3.0, 3.0)
 
-    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
-        """P_sky at a later LST.
-
-        The amount is in hours.
-        """
-        return replace(terms, sky=conditions.later(terms.sky, np.ravel(amount)))
+def add_level(terms: ChainTerms, conditions: Conditions, amount: Floats) -> ChainTerms:
+    """P_sky plus a constant in LST; the amount is a fraction of the mean P_sky at each frequency."""
+    return replace(terms, sky=terms.sky + amount * conditions.mean_sky[:, None, :])
 
 
 @dataclass(frozen=True)
@@ -166,9 +154,13 @@ class SkyChange(Cause):
         """One, where the own sky could be computed for these channels."""
         return [Template()] if self.identifier in conditions.sky_ratio else []
 
-    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
-        """P_sky times own(with)/own(without)."""
-        return replace(terms, sky=terms.sky * conditions.sky_ratio[self.identifier](amount))
+    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:
+        """P_sky times own(with)/own(without).
+
+        A source adds a fraction of its flux through D.
+        """
+        name = template.parameters.get("source", self.identifier)
+        return replace(terms, sky=terms.sky * conditions.sky_ratio[name](amount))
 
 
 @dataclass(frozen=True)
@@ -197,16 +189,14 @@ class DipoleAzimuth(SkyChange):
 
 
 @dataclass(frozen=True)
-class PointSource(Cause):
+class PointSource(SkyChange):
     """A named source that the sky model lacks or has too strong."""
 
     identifier: str = "point_source"
     unit: str = "fraction of its flux"
     meaning: str = "a named source is wrong in the sky model"
     confirm: str = "look whether the excess follows the source through its transit at each frequency"
-    needs: str = NO_DIRECTIONS
     spectral_parameters: Sequence[str] = ("source",)
-    acts_by_ratio: bool = True
     sizes: SizeRange = SizeRange(-1.5, 5.0)
 
     def templates(self, conditions: Conditions) -> list[Template]:
@@ -216,31 +206,6 @@ class PointSource(Cause):
     def is_another(self, template: Template, earlier: Template) -> bool:
         """Whether the sources differ."""
         return bool(template.parameters["source"] != earlier.parameters["source"])
-
-    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:
-        """P_sky plus a fraction of the source's flux through D.
-
-        The amount is that fraction.
-        """
-        return replace(terms, sky=terms.sky * conditions.sky_ratio[template.parameters["source"]](amount))
-
-
-@dataclass(frozen=True)
-class IsotropicLevel(Cause):
-    """Power added at each frequency in proportion to the mean sky power there."""
-
-    identifier: str = "isotropic_level"
-    unit: str = "fraction of the mean sky power"
-    meaning: str = "the isotropic part of the sky is wrong"
-    confirm: str = "compare with an absolute measurement of the sky minimum, or with the noise levels of a laboratory"
-    sizes: SizeRange = SizeRange(-0.5, 10.0)
-
-    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
-        """P_sky plus a constant in LST.
-
-        The amount is a fraction of the mean P_sky at each frequency.
-        """
-        return replace(terms, sky=terms.sky + amount * conditions.mean_sky[:, None, :])
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ that the chain of these data describes already, such as a step before the first 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,9 +16,9 @@ from scipy.optimize import brentq
 from scipy.special import log_ndtr, ndtri
 from threadpoolctl import threadpool_limits
 
-from lbacal_core.calibration.singles import MIN_EVENTS
+from lbacal_core.calibration.singles import MIN_EVENTS, has_enough
 from lbacal_core.causes.catalogue import CAUSES
-from lbacal_core.causes.cause import Cause, Conditions, SizeRange, Template, signature
+from lbacal_core.causes.cause import Template, signature
 from lbacal_core.causes.model import AdoptedCause, Model
 from lbacal_core.discovery.baseline import fit_baseline, leave_out_deaf
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
@@ -29,72 +29,12 @@ from lbacal_core.discovery.station import SkyModes, Station, gather_stations, mo
 from lbacal_core.discovery.view import SMALLEST_SHARE
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
-from lbacal_core.instrument.chain import ChainTerms
 from lbacal_core.linear import invert_symmetric
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.spectra import Spectra
 
 REFERENCE_C = 10.0
 """Temperature to which C belongs where a model follows temperature: near the mean of the Superterp."""
-
-_NOTHING = Cause("", "", "", "")
-
-
-@dataclass(frozen=True)
-class BoundedCause(Cause):
-    """A cause that acts in an interval.
-
-    Attributes
-    ----------
-    whole
-        The cause without ends.
-    since_unix, until_unix
-        The interval, s UTC, half open; None where an end is open.
-    """
-
-    whole: Cause = _NOTHING
-    since_unix: int | None = None
-    until_unix: int | None = None
-
-    @classmethod
-    def of(cls, whole: Cause, since_unix: int | None, until_unix: int | None) -> BoundedCause:
-        """The cause between two instants."""
-        own = {field.name: getattr(whole, field.name) for field in fields(Cause)}
-        return cls(**own, whole=whole, since_unix=since_unix, until_unix=until_unix)
-
-    def is_inside(self, conditions: Conditions) -> NDArray[np.bool_]:
-        """Whether each event lies in the interval, shape (event,)."""
-        return is_between(conditions.time_unix, self.since_unix, self.until_unix)
-
-    def sizes_of(self, template: Template) -> SizeRange:
-        """Sizes of the cause without ends."""
-        return self.whole.sizes_of(template)
-
-    def covariates(self, template: Template) -> Sequence[str]:
-        """Covariates of the cause without ends."""
-        return self.whole.covariates(template)
-
-    def time_profile(self, conditions: Conditions, template: Template) -> Floats:
-        """That of the cause within the interval, 0 outside, shape (event, 1)."""
-        return self.whole.time_profile(conditions, template) * self.is_inside(conditions)[:, None]
-
-    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:
-        """The chain with the cause."""
-        return self.whole.act(terms, conditions, template, amount)
-
-    def known_events(self, conditions: Conditions, template: Template) -> NDArray[np.bool_]:
-        """Events with the covariates of the cause, or outside the interval, which need none, shape (event,)."""
-        return np.asarray(self.whole.known_events(conditions, template) | ~self.is_inside(conditions))
-
-
-def is_between(time_unix: Floats, since_unix: int | None, until_unix: int | None) -> NDArray[np.bool_]:
-    """Whether instants, s UTC, lie in an interval, half open, same shape; None where an end is open."""
-    is_inside = np.ones(time_unix.shape, dtype=bool)
-    if since_unix is not None:
-        is_inside &= time_unix >= since_unix
-    if until_unix is not None:
-        is_inside &= time_unix < until_unix
-    return is_inside
 
 
 @dataclass(frozen=True)
@@ -165,21 +105,17 @@ def find_members(station: Station, label: str) -> NDArray[np.bool_]:
 
 def list_hypotheses(model: Model, station: Station) -> list[tuple[AdoptedCause, Hypothesis]]:
     """The adopted causes that act on paths of a station within its data, at the sizes of the model."""
-    times = station.conditions.time_unix
     found = []
     for adopted in model.of_stations([station.name]).causes:
-        is_inside = is_between(times, adopted.since_unix, adopted.until_unix)
+        cause = replace(adopted.in_catalogue, since_unix=adopted.since_unix, until_unix=adopted.until_unix)
         is_member = find_members(station, adopted.target)
-        if not np.any(is_inside) or not np.any(is_member):
+        if not np.any(cause.is_inside(station.conditions)) or not np.any(is_member):
             continue
-        cause = adopted.in_catalogue
         for name in cause.covariates(Template(adopted.parameters)):
             if name not in station.conditions.covariates:
                 raise BadInputError(
                     f"spectra of {station.name}", f"the column {name}, {cause.identifier} needs it", "none"
                 )
-        if not np.all(is_inside):
-            cause = BoundedCause.of(cause, adopted.since_unix, adopted.until_unix)
         words = len(adopted.target.split(" "))
         scope = "path" if adopted.target.startswith("antenna") and words > 2 else adopted.target.split(" ")[0]
         hypothesis = Hypothesis(
@@ -196,10 +132,8 @@ def at_reference(station: Station) -> Station:
 
 def gather_adopted(spectra: Spectra, name: str, simulation: Simulation) -> list[Station]:
     """Lay out the spectra of a station that has adopted causes, if a path of its has enough events for a fit."""
-    rows = np.flatnonzero(spectra.station == name)
-    paths = np.stack([spectra.antenna[rows], spectra.dipole[rows] == spectra.dipole[rows[:1]]])
-    is_enough = rows.size and np.unique(paths, axis=1, return_counts=True)[1].max() >= MIN_EVENTS
-    return gather_stations(spectra.select(rows), simulation) if is_enough else []
+    own = spectra.select(spectra.station == name)
+    return gather_stations(own, simulation) if has_enough(own) else []
 
 
 def fit_adopted(

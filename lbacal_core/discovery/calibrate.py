@@ -304,17 +304,5 @@ def fit_causes(spectra: Recorded, simulation: Simulation) -> FittedCauses:
                 if fitted.sizes:
                     light = replace(at_reference(station), power=np.broadcast_to(1.0, station.power.shape))
                     of_fit = light, fitted.model.baseline.terms, fitted.sizes, fitted.covariance
-                    found.append(_OfStation(*of_fit, *_places(apart, station)))
+                    found.append(_OfStation(*of_fit, *station.find_places(apart)))
     return FittedCauses(spectra, simulation, form, found)
-
-
-def _places(spectra: Spectra, station: Station) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Rows of a station's spectra, with path and event of each on the station's grid."""
-    rows = np.flatnonzero(spectra.station == station.name)
-    path = np.full(rows.size, -1, dtype=np.int64)
-    for k, (antenna, dipole) in enumerate(zip(station.antenna, station.dipole, strict=True)):
-        path[(spectra.antenna[rows] == antenna) & (spectra.dipole[rows] == dipole)] = k
-    order = np.argsort(station.event_id)
-    event = order[np.searchsorted(station.event_id[order], spectra.event_id[rows])]
-    is_on_grid = path >= 0
-    return rows[is_on_grid], path[is_on_grid], event[is_on_grid].astype(np.int64)

@@ -5,14 +5,13 @@ The paths are laid out as a station, and the causes act on the chains of their c
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import fields, replace
 
 import numpy as np
 
 from lbacal_core.calibration.prediction import Acting, EventNoise, Prediction, curve_alone, predict_path
-from lbacal_core.calibration.singles import MIN_EVENTS
+from lbacal_core.calibration.singles import has_enough
 from lbacal_core.causes.cause import TEMPERATURE, Template
 from lbacal_core.causes.model import AdoptedCause
 from lbacal_core.causes.sky import sky_ratios
@@ -90,16 +89,11 @@ def divide_out(spectra: Spectra, curves: Sequence[CalibrationCurve], simulation:
         own = {(one.antenna, one.dipole): one for one in curves if one.c is not None and one.station == name}
         keys = list(zip(spectra.antenna.tolist(), spectra.dipole.tolist(), spectra.station == name, strict=True))
         rows = np.array([here and (antenna, dipole) in own for antenna, dipole, here in keys], dtype=bool)
-        counts = Counter(key for key, is_own in zip(keys, rows, strict=True) if is_own)
-        if max(counts.values(), default=0) < MIN_EVENTS:
-            continue
-        station, named, terms = _lay_out(list(own.values()), simulation, spectra.select(rows))
-        ratio = power_ratio(station, terms, [one for _, one in named])
-        path = {key: k for k, key in enumerate(zip(station.antenna.tolist(), station.dipole.tolist(), strict=True))}
-        event = {name: k for k, name in enumerate(station.event_id.tolist())}
-        for row in np.flatnonzero(rows).tolist():
-            at = path.get(keys[row][:2])
-            power[row] /= 1.0 if at is None else ratio[at, event[str(spectra.event_id[row])]]
+        recorded = spectra.select(rows)
+        if has_enough(recorded):
+            station, named, terms = _lay_out(list(own.values()), simulation, recorded)
+            at, path, event = station.find_places(spectra)
+            power[at] /= power_ratio(station, terms, [one for _, one in named])[path, event]
     return replace(spectra, power=power)
 
 

@@ -111,6 +111,14 @@ class Station:
             return self
         return replace(self, relative_variance=np.where(is_known, self.relative_variance, np.inf))
 
+    def find_places(self, spectra: Spectra) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+        """Rows of spectra that stand on the grid, with path and event of each, shape (row,)."""
+        path, here = np.full(len(spectra), -1), spectra.station == self.name
+        for k, (antenna, dipole) in enumerate(zip(self.antenna, self.dipole, strict=True)):
+            path[here & (spectra.antenna == antenna) & (spectra.dipole == dipole)] = k
+        rows, order = np.flatnonzero(path >= 0), np.argsort(self.event_id)
+        return rows, path[rows], order[np.searchsorted(self.event_id[order], spectra.event_id[rows])]
+
 
 def gather_stations(
     spectra: Spectra, simulation: Simulation, ratios: Mapping[str, SkyRatio] | None = None

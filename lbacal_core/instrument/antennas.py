@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.errors import BadInputError
-from lbacal_core.foreign import parse_name, parse_number, parse_numbers, parse_optional_name
+from lbacal_core.foreign import parse_instant, parse_name, parse_number, parse_numbers, parse_optional_name
 from lbacal_core.grids import Floats
 from lbacal_core.provenance import as_json
 
@@ -144,24 +144,17 @@ def parse_record(record: Any, place: str) -> AntennaRecord:
     antenna = record["antenna"]
     if isinstance(antenna, bool) or not isinstance(antenna, int) or antenna < 0:
         raise BadInputError(f"{place}: antenna", "a whole number >= 0", repr(antenna))
+    since, until = (
+        None if record.get(end) is None else parse_instant(record[end], f"{place}: {end}") for end in ("since", "until")
+    )
     return AntennaRecord(
         station=parse_name(record["station"], f"{place}: station"),
         antenna=antenna,
         cable=parse_name(record["cable"], f"{place}: cable"),
-        since=_instant(record.get("since"), f"{place}: since"),
-        until=_instant(record.get("until"), f"{place}: until"),
-        group=None if record.get("group") is None else parse_name(record["group"], f"{place}: group"),
+        since=since,
+        until=until,
+        group=parse_optional_name(record.get("group"), f"{place}: group"),
     )
-
-
-def _instant(text: Any, place: str) -> float | None:
-    if text is None:
-        return None
-    try:
-        instant = datetime.fromisoformat(text)
-        return (instant if instant.tzinfo else instant.replace(tzinfo=UTC)).astimezone(UTC).timestamp()
-    except (TypeError, ValueError, OverflowError) as error:
-        raise BadInputError(place, "an ISO 8601 date", repr(text)) from error
 
 
 def record_as_dict(record: AntennaRecord) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.errors import BadInputError, UnreadableFileError
+from lbacal_core.errors import BadInputError, UnreadableFileError, reading
 from lbacal_core.grids import Floats
 
 PORTS = {".s1p": 1, ".s2p": 2}
@@ -32,10 +32,8 @@ def read_touchstone(path: Path) -> tuple[Floats, NDArray[np.complex128], float]:
     BadInputError
         Neither one port nor two, no S parameters, or rows that are not what these have.
     """
-    try:
+    with reading(f"{path}: expected a Touchstone file", OSError):
         lines = [line.partition("!")[0].strip() for line in path.read_text(encoding="latin-1").splitlines()]
-    except OSError as error:
-        raise UnreadableFileError(f"{path}: expected a Touchstone file ({error.strerror})") from error
     ports = PORTS.get(path.suffix.lower())
     if ports is None:
         raise BadInputError(str(path), "a Touchstone file of one port (.s1p) or two (.s2p)", repr(path.suffix))

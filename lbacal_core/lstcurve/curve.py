@@ -15,6 +15,7 @@ from scipy.optimize import minimize_scalar
 from lbacal_core.data.lofar import DIPOLES, SUPERTERP
 from lbacal_core.data.tables import SHIPPED, read_table
 from lbacal_core.errors import BadInputError, UnreadableFileError
+from lbacal_core.foreign import parse_cell, read_text
 from lbacal_core.grids import Floats, require_same_grid
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.linear import fit_least_squares
@@ -77,14 +78,8 @@ def measured_curve() -> Path:
 
 def read_lst_curve(path: Path) -> LstCurve:
     """Read an LST curve, naming the line of whatever is wrong."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise UnreadableFileError(f"{path}: cannot be read ({error.strerror})") from error
-    except UnicodeDecodeError as error:
-        raise UnreadableFileError(f"{path}: expected a CSV file, found something that is not text") from error
     place = path.name
-    numbered = [(k, line) for k, line in enumerate(text.splitlines(), start=1) if line.strip()]
+    numbered = [(k, line) for k, line in enumerate(read_text(path).splitlines(), start=1) if line.strip()]
     is_centre_stated = any(line.strip().lower() == CENTRE_LINE for _, line in numbered)
     numbered = [(k, line) for k, line in numbered if not line.lstrip().startswith("#")]
     if not numbered:
@@ -120,24 +115,12 @@ def _parse_row(header: list[str], line: str, place: str) -> list[float]:
     if len(cells) != len(header):
         raise BadInputError(place, f"{len(header)} cells as in the header", f"{len(cells)}")
     row = dict(zip(header, cells, strict=True))
-    values = {name: _parse_cell(row[name], f"{place}: {name}") for name in COLUMNS}
+    values = {name: parse_cell(row[name], f"{place}: {name}") for name in COLUMNS}
     if not 0 <= values["lst_h"] < 24:
         raise BadInputError(f"{place}: lst_h", "hours from 0 to 24", row["lst_h"].strip() or "an empty cell")
     if not (math.isnan(values["x_db"]) and math.isnan(values["y_db"])) and not values["error_db"] > 0:
         raise BadInputError(f"{place}: error_db", "dB > 0 beside a point", row["error_db"].strip() or "an empty cell")
     return [values[name] for name in COLUMNS]
-
-
-def _parse_cell(text: str, place: str) -> float:
-    if not text.strip():
-        return math.nan
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise BadInputError(place, "a finite number, or an empty cell for no point", text.strip())
-    return value
 
 
 # The noise of the points of an LST curve, from their scatter about a smooth curve: smaller than drawn bars may be.

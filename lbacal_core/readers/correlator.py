@@ -16,7 +16,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from lbacal_core.errors import BadInputError, UnreadableFileError
+from lbacal_core.errors import BadInputError, reading
 from lbacal_core.grids import Floats
 from lbacal_core.hdf5 import HDF5_FAILURES
 from lbacal_core.readers.source import Integrations, Source
@@ -82,15 +82,12 @@ def open_correlator(files: Sequence[Path], name: str, station: str) -> Source:
 
 
 def _describe(path: Path) -> _Recording:
-    try:
-        with h5py.File(path, "r") as file:
-            data, facts = file[DATA], file["root"].attrs
-            begin = np.ravel(file[TIMES][()])[: data.shape[0]].astype(float)
-            found = _Recording(path, int(facts["channel_id"]), int(facts["n_antennas"]), begin, float(facts["tsamp"]))
-            expected = (begin.size, 1, found.antennas * (found.antennas + 1) // 2, 4)
-            first = data[:1] if data.shape == expected and begin.size else None
-    except HDF5_FAILURES as error:
-        raise UnreadableFileError(f"{path}: expected a file of the correlator: {str(error)[:120]}") from error
+    with reading(f"{path}: expected a file of the correlator", *HDF5_FAILURES), h5py.File(path, "r") as file:
+        data, facts = file[DATA], file["root"].attrs
+        begin = np.ravel(file[TIMES][()])[: data.shape[0]].astype(float)
+        found = _Recording(path, int(facts["channel_id"]), int(facts["n_antennas"]), begin, float(facts["tsamp"]))
+        expected = (begin.size, 1, found.antennas * (found.antennas + 1) // 2, 4)
+        first = data[:1] if data.shape == expected and begin.size else None
     if first is None:
         raise BadInputError(f"{path}: {DATA}", f"shape {expected} (time, channel, baseline, stokes)", f"{data.shape}")
     if not (found.length > 0 and np.all(begin > 0)):
@@ -120,11 +117,8 @@ def _read(recordings: Sequence[_Recording], channels: Sequence[int]) -> Iterator
         autos, at = _autocorrelations(one.antennas), channels.index(one.channel)
         for start in range(0, one.begin.size, AT_ONCE):
             begin = one.begin[start : start + AT_ONCE]
-            try:
-                with h5py.File(one.path, "r") as file:
-                    measured = file[DATA][start : start + AT_ONCE, 0].real[:, autos][:, :, [XX, YY]]
-            except HDF5_FAILURES as error:
-                raise UnreadableFileError(f"{one.path}: {DATA} cannot be read: {str(error)[:120]}") from error
+            with reading(f"{one.path}: {DATA} cannot be read", *HDF5_FAILURES), h5py.File(one.path, "r") as file:
+                measured = file[DATA][start : start + AT_ONCE, 0].real[:, autos][:, :, [XX, YY]]
             power = np.full((begin.size, 2 * one.antennas, len(channels)), np.nan)
             power[:, :, at] = measured.reshape(begin.size, -1)
             yield Integrations(begin + one.length / 2, np.full(begin.size, one.length), power)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_channels
 from lbacal_core.instrument.antennas import EXPECTED, are_dipole_names
-from lbacal_core.spectra.spectra import BLOCK_S, Spectra
+from lbacal_core.spectra.spectra import BLOCK_S, Spectra, name_event
 
 
 @dataclass(frozen=True)
@@ -286,7 +285,7 @@ class _Sums:
         begin = float(self.begin or 0.0)
         time_unix = begin + moments / lengths
         begins = time_unix if self.interval_s is None else begin + self.interval_s * np.array([k for _, k, _ in keys])
-        names = [name or _name_interval(float(t)) for (name, *_), t in zip(keys, begins, strict=True)]
+        names = [name or name_event(float(t)) for (name, *_), t in zip(keys, begins, strict=True)]
         flags = np.array([flag for *_, flag in keys])[at]
         covariates = {name: np.array([_mean_known(one, name) for one in sums])[at] for name in self._covariates()}
         spectra = Spectra(
@@ -381,8 +380,3 @@ def _find_members(source: Source, channels: Channels) -> tuple[NDArray[np.int64]
         )
     members = np.concatenate([np.arange(low, high) for low, high in zip(begin, end, strict=True)])
     return members, np.append(0, np.cumsum(end - begin)[:-1])
-
-
-def _name_interval(begin_unix: float) -> str:
-    """Event id: the UTC second in which an interval begins, or in which an integration is centred, 20110719T110541."""
-    return f"{datetime.fromtimestamp(int(begin_unix), UTC):%Y%m%dT%H%M%S}"

@@ -16,11 +16,11 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.errors import BadInputError, UnreadableFileError
+from lbacal_core.errors import BadInputError, reading
+from lbacal_core.foreign import parse_instant
 from lbacal_core.grids import Floats
 from lbacal_core.hdf5 import HDF5_FAILURES
 from lbacal_core.readers.source import Integrations, Source
-from lbacal_core.readers.tables import parse_time
 
 SUB_BANDS = 512
 LBA_CLOCK_HZ = 200e6
@@ -35,11 +35,8 @@ _FILE = re.compile(r"(?P<begin>\d{8}_\d{6})_sst_rcu(?P<rcu>\d{3})\.dat")
 
 def open_statistics(path: Path) -> Source:
     """Open a LOFAR 2.0 file of sub-band statistics."""
-    try:
-        with h5py.File(path, "r") as file:
-            return _describe(path, file)
-    except HDF5_FAILURES as error:
-        raise UnreadableFileError(f"{path}: expected sub-band statistics (HDF5): {str(error)[:120]}") from error
+    with reading(f"{path}: expected sub-band statistics (HDF5)", *HDF5_FAILURES), h5py.File(path, "r") as file:
+        return _describe(path, file)
 
 
 def is_statistics(path: Path) -> bool:
@@ -126,16 +123,12 @@ def _read(
         # HDF5 keeps 5 KiB of every dataset that was opened until the file is closed: half a gigabyte a day.
         with h5py.File(path, "r") as file:
             for k, name in enumerate(some):
-                try:
+                expected = f"{path}: {name}: expected statistics with timestamp and integration_time"
+                with reading(expected, *HDF5_FAILURES, IndexError):
                     dataset = file[name]
-                    begin[k] = parse_time(_text(dataset.attrs["timestamp"]), path)
+                    begin[k] = parse_instant(_text(dataset.attrs["timestamp"]), f"{path}: time")
                     length[k] = float(dataset.attrs["integration_time"])
                     power[k] = dataset[()][wanted] / np.float32(length[k])
-                except (*HDF5_FAILURES, IndexError) as error:
-                    reason = str(error)[:120]
-                    raise UnreadableFileError(
-                        f"{path}: {name}: expected statistics with timestamp and integration_time: {reason}"
-                    ) from error
         yield Integrations(begin + length / 2, length, power)
 
 
@@ -208,16 +201,13 @@ def open_mini_arrays(path: Path, station: str | None = None) -> Source:
     """Open a file of NenuFAR's sub-band statistics; a mini-array is an antenna, NW and NE are its dipoles."""
     from astropy.io import fits
 
-    try:
-        with fits.open(path, memmap=True) as file:
-            facts, rows = file[INSTRUMENT].data, file[DATA].data
-            frequency = np.asarray(facts["frq"][0], dtype=float)
-            antennas = np.asarray(facts["noMROn"][0], dtype=np.int64)
-            letters = np.array([str(name).strip() for name in np.atleast_1d(facts["spol"][0])])
-            time = (np.asarray(rows["JD"], dtype=float) - UNIX_EPOCH_JD) * DAY_S
-            shape = rows["data"].shape
-    except FAILURES as error:
-        raise UnreadableFileError(f"{path}: expected NenuFAR's statistics (FITS): {str(error)[:120]}") from error
+    with reading(f"{path}: expected NenuFAR's statistics (FITS)", *FAILURES), fits.open(path, memmap=True) as file:
+        facts, rows = file[INSTRUMENT].data, file[DATA].data
+        frequency = np.asarray(facts["frq"][0], dtype=float)
+        antennas = np.asarray(facts["noMROn"][0], dtype=np.int64)
+        letters = np.array([str(name).strip() for name in np.atleast_1d(facts["spol"][0])])
+        time = (np.asarray(rows["JD"], dtype=float) - UNIX_EPOCH_JD) * DAY_S
+        shape = rows["data"].shape
     expected = (time.size, antennas.size, letters.size, frequency.size)
     if shape != expected or time.size == 0:
         raise BadInputError(f"{path}: data", f"shape {expected} (time, mini-array, polarisation, sub-band)", f"{shape}")

@@ -6,15 +6,14 @@ import csv
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from lbacal_core.errors import BadInputError, UnreadableFileError
-from lbacal_core.foreign import read_npz
+from lbacal_core.errors import BadInputError, reading
+from lbacal_core.foreign import parse_instant, read_npz, read_text
 from lbacal_core.grids import Floats, guess_widths
 from lbacal_core.readers.source import Integrations, Source
 
@@ -73,11 +72,9 @@ def _lines(file: Any) -> Iterator[str]:
 
 
 def _rows(path: Path) -> Iterator[Row]:
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            yield from csv.DictReader(_lines(file), skipinitialspace=True)
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise UnreadableFileError(f"{path}: expected a CSV table ({error})") from error
+    broken = reading(f"{path}: expected a CSV table", OSError, UnicodeDecodeError, csv.Error)
+    with broken, path.open(encoding="utf-8-sig", newline="") as file:
+        yield from csv.DictReader(_lines(file), skipinitialspace=True)
 
 
 def _read_header(path: Path) -> dict[str, float]:
@@ -110,7 +107,7 @@ def _read(path: Path, names: list[str], paths: dict[tuple[str, int, str], int], 
     latest = -np.inf
     for text, rows in groupby(_rows(path), key=lambda row: (row["time"] or "").strip()):
         together = list(rows)
-        time = parse_time(text, path)
+        time = parse_instant(text, f"{path}: time")
         if time <= latest:
             raise BadInputError(f"{path}: time", "rows in order of time", f"{text} after a later or equal one")
         latest = time
@@ -145,15 +142,6 @@ def _number(text: str | None, place: str, expected: str = "a number") -> float:
         return float(text)
     except ValueError as error:
         raise BadInputError(place, expected, repr(text[:40])) from error
-
-
-def parse_time(text: str, path: Path) -> float:
-    """Seconds since 1970 of an ISO 8601 instant, UTC unless it says otherwise; `path` is for messages."""
-    try:
-        instant = datetime.fromisoformat(text)
-    except ValueError as error:
-        raise BadInputError(f"{path}: time", "an ISO 8601 instant", repr(text)) from error
-    return (instant if instant.tzinfo else instant.replace(tzinfo=UTC)).timestamp()
 
 
 # Folders of one file an integration: CSV tables or NumPy archives (docs/how-to/import-other-data.md).
@@ -211,10 +199,7 @@ def _read_file(path: Path) -> _Content:
 
 
 def _read_table(path: Path) -> _Content:
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise UnreadableFileError(f"{path}: expected a CSV table ({error})") from error
+    lines = read_text(path).splitlines()
     facts = dict(_split_fact(line) for line in lines if line.startswith("#") and ":" in line)
     rows = list(csv.reader(line for line in lines if line and not line.startswith("#")))
     if len(rows) < 2 or rows[0][0].strip() != "frequency_mhz":
@@ -232,7 +217,7 @@ def _read_table(path: Path) -> _Content:
         raise BadInputError(str(path), f"{len(paths) + 1} columns in every row", "fewer or more")
     if "time" not in facts:
         raise BadInputError(str(path), "a line '# time: 2014-05-01T03:04:05Z'", "none")
-    return _Content(values[:, 0], paths, parse_time(facts["time"], path), values[:, 1:].T, facts)
+    return _Content(values[:, 0], paths, parse_instant(facts["time"], f"{path}: time"), values[:, 1:].T, facts)
 
 
 def _read_archive(path: Path) -> _Content:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from lbacal_core.errors import BadInputError, MissingExtraError, UnreadableFileError
+from lbacal_core.errors import BadInputError, MissingExtraError, reading
 from lbacal_core.readers.source import Integrations, Source
 
 SUFFIXES = (".uvh5", ".uvfits")
@@ -36,11 +36,9 @@ def open_visibilities(path: Path) -> Source:
         raise MissingExtraError(f"reading {path.name}", "import") from error
     if path.is_dir() and find_spec("casacore") is None:
         raise MissingExtraError(f"reading the measurement set {path.name}", "casa")
-    try:
+    with reading(f"{path}: pyuvdata cannot read it", OSError, RuntimeError, ValueError, KeyError, IndexError):
         data = UVData()
         data.read(str(path), read_data=False, run_check=False)
-    except (OSError, RuntimeError, ValueError, KeyError, IndexError) as error:
-        raise UnreadableFileError(f"{path}: pyuvdata cannot read it ({str(error)[:120]})") from error
     letters = [_LETTERS.get(int(number)) for number in data.polarization_array]
     if not any(letters):
         raise BadInputError(f"{path}: polarisations", "XX or YY", f"{list(data.polarization_array)}")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lbacal_core.errors import BadInputError, MissingExtraError, UnknownNameError, UnreadableFileError
+from lbacal_core.errors import BadInputError, MissingExtraError, UnknownNameError, reading
 from lbacal_core.foreign import read_npz
 from lbacal_core.grids import Floats
 from lbacal_core.sky.model import Complexes, SkyModel
@@ -71,10 +71,8 @@ def make_pygdsm_model(name: str) -> SkyModel:
     }
     if name not in makers:
         raise UnknownNameError("sky model", name, sorted(makers))
-    try:
+    with reading(f"sky {name}: pygdsm could not get its data", OSError, RuntimeError):
         maps = np.array([makers[name]().generate(nu) for nu in PYGDSM_NODES_MHZ])
-    except (OSError, RuntimeError) as error:
-        raise UnreadableFileError(f"sky {name}: pygdsm could not get its data ({error})") from error
     multipoles = multipoles_of_maps(maps, "G", name)
     return model_of_maps(name, PYGDSM_NODES_MHZ, multipoles, has_cmb=False, has_isotropic=True, origin=name)
 

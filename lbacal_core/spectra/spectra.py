@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
@@ -15,13 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core import hdf5
-from lbacal_core.errors import BadInputError, UnreadableFileError
+from lbacal_core.errors import BadInputError, UnreadableFileError, reading
 from lbacal_core.grids import Floats, guess_widths, require_channels, require_same_grid
 from lbacal_core.instrument.antennas import EXPECTED, are_dipole_names
 from lbacal_core.spectra.quarters import Quarters, hash_quarters, hash_window, pick_hashes
 
 FORMAT = "lbacal-spectra-1"
 EARLIEST_UNIX = datetime(2009, 1, 1, tzinfo=UTC).timestamp()
+NO_SPECTRA = "expected a spectra file (HDF5), found something unreadable"
 DAY_S = 86_400.0
 BLOCK_S = 1024 / 200e6
 """Length of a block of LOFAR's transient buffer (1024 samples at 200 MHz), the unit of `blocks` in a spectra file."""
@@ -30,6 +31,9 @@ MAX_COVARIATES = 16
 _COVARIATE = re.compile(r"[a-z][a-z0-9_]{0,39}", re.ASCII)
 
 _COLUMNS = ("event_id", "time_unix", "station", "antenna", "dipole", "blocks")
+_BY_ROW = (*_COLUMNS, "power")
+_BY_ROW_AT_TIMES = ("duration_s", "flag")
+"""Fields with an entry a row: those that all spectra have, and those that some have."""
 _KEY = ("station", "antenna", "dipole", "event_id")
 _KINDS = {
     "frequency_mhz": hdf5.NUMBERS,
@@ -105,7 +109,7 @@ class Spectra:
     def __post_init__(self) -> None:
         require_channels(self.origin, self.frequency_mhz)
         rows = len(self.event_id)
-        for name in (*_COLUMNS[1:], "power"):
+        for name in _BY_ROW[1:]:
             if len(getattr(self, name)) != rows:
                 raise BadInputError(
                     f"{self.origin}: {name}", f"{rows} rows as in event_id", f"{len(getattr(self, name))}"
@@ -192,24 +196,10 @@ class Spectra:
 
     def select(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> Spectra:
         """The spectra of some rows, given by their numbers, in that order, or by a mask of shape (row,)."""
-        return Spectra(
-            self.frequency_mhz,
-            self.power[rows],
-            self.event_id[rows],
-            self.time_unix[rows],
-            self.station[rows],
-            self.antenna[rows],
-            self.dipole[rows],
-            self.blocks[rows],
-            self.resistance_ohm,
-            {name: values[rows] for name, values in self.environment.items()},
-            self.origin,
-            self.width_mhz,
-            None if self.duration_s is None else self.duration_s[rows],
-            None if self.flag is None else self.flag[rows],
-            self.left_out,
-            self.arms_deg,
-        )
+        own = {one.name: getattr(self, one.name) for one in fields(Spectra)}
+        chosen = {name: own[name][rows] for name in (*_BY_ROW, *_BY_ROW_AT_TIMES) if own[name] is not None}
+        environment = {name: values[rows] for name, values in self.environment.items()}
+        return Spectra(**own | chosen | {"environment": environment})
 
     def without_flagged(self) -> Spectra:
         """The spectra that are not flagged; `left_out` counts the others."""
@@ -305,12 +295,9 @@ def read_spectra(path: Path, now_unix: float | None = None) -> Spectra:
         )
     if path.stat().st_size == 0:
         raise UnreadableFileError(f"{path}: expected a spectra file (HDF5), found an empty file")
-    try:
-        with h5py.File(path, "r") as file:
-            content = _read_open_file(file, path.name) | {"arms_deg": _read_arms(file, path.name)}
-    except hdf5.HDF5_FAILURES as error:
-        found = f"something unreadable ({str(error)[:120]}): lbacal import reads other formats"
-        raise UnreadableFileError(f"{path}: expected a spectra file (HDF5), found {found}") from error
+    is_other = f"{path}: {NO_SPECTRA}, where lbacal import may read it"
+    with reading(is_other, *hdf5.HDF5_FAILURES), h5py.File(path, "r") as file:
+        content = _read_open_file(file, path.name) | {"arms_deg": _read_arms(file, path.name)}
     spectra = Spectra(**content, origin=path.name).without_flagged()
     if len(spectra) == 0 and spectra.left_out:
         raise BadInputError(
@@ -331,13 +318,11 @@ def read_columns(content: bytes, place: str, largest_bytes: int) -> dict[str, An
     largest_bytes
         The most that any column may take in memory.
     """
-    try:
-        with h5py.File(h5py.h5f.open_file_image(content), "r") as file:
-            columns = _read_open_file(file, place, largest_bytes)
-    except hdf5.HDF5_FAILURES as error:
-        reason = str(error)[:120]
-        sentence = f"{place}: expected a spectra file (HDF5), found something unreadable ({reason})"
-        raise UnreadableFileError(sentence) from error
+    with (
+        reading(f"{place}: {NO_SPECTRA}", *hdf5.HDF5_FAILURES),
+        h5py.File(h5py.h5f.open_file_image(content), "r") as file,
+    ):
+        columns = _read_open_file(file, place, largest_bytes)
     flagged = np.flatnonzero(columns.pop("flag", np.array([""])) != "")
     if flagged.size:
         raise BadInputError(
@@ -409,6 +394,19 @@ def _read_arms(file: h5py.File, place: str) -> dict[str, float]:
     return {letter: float(value) for letter, value in found.items()}
 
 
+def name_event(begin_unix: float) -> str:
+    """Event id from the UTC second in which an event or an interval begins: 20110719T110541."""
+    return f"{datetime.fromtimestamp(int(begin_unix), UTC):%Y%m%dT%H%M%S}"
+
+
+def lay_out_rows(rows: Sequence[Mapping[str, Any]], channels: int) -> dict[str, Any]:
+    """The columns of `Spectra` from rows that hold a value of each under its name; power has so many `channels`."""
+    columns: dict[str, Any] = {
+        name: np.array([row[name] for row in rows], dtype=_KINDS[name].read_as) for name in _BY_ROW
+    }
+    return columns | {"power": columns["power"].reshape(len(rows), channels)}
+
+
 def _listed(names: list[str]) -> str:
     """Names for a sentence: in quotes where they are odd, and not thousands of them."""
     shown = [name if name.isprintable() and len(name) < 40 else ascii(name)[:40] for name in names[:5]]
@@ -466,21 +464,16 @@ def join_spectra(parts: Sequence[Spectra]) -> Spectra:
                 raise BadInputError(place, f"{first.arms_deg[letter]:g} deg as in {first.origin}", f"{azimuth:g} deg")
     parts = _without_repetitions(parts)
     names = sorted({name for part in parts for name in part.environment})
+    columns: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _BY_ROW}
     durations = [part.duration_s for part in parts if part.duration_s is not None]
     return Spectra(
         first.frequency_mhz,
-        np.concatenate([part.power for part in parts]),
-        np.concatenate([part.event_id for part in parts]),
-        np.concatenate([part.time_unix for part in parts]),
-        np.concatenate([part.station for part in parts]),
-        np.concatenate([part.antenna for part in parts]),
-        np.concatenate([part.dipole for part in parts]),
-        np.concatenate([part.blocks for part in parts]),
-        first.resistance_ohm,
-        {name: np.concatenate([_covariate(part, name) for part in parts]) for name in names},
-        f"{first.origin} and {len(parts) - 1} more",
-        first.width_mhz,
-        np.concatenate(durations) if durations else None,
+        **columns,
+        resistance_ohm=first.resistance_ohm,
+        environment={name: np.concatenate([_covariate(part, name) for part in parts]) for name in names},
+        origin=f"{first.origin} and {len(parts) - 1} more",
+        width_mhz=first.width_mhz,
+        duration_s=np.concatenate(durations) if durations else None,
         left_out={flag: sum(part.left_out.get(flag, 0) for part in parts) for part in parts for flag in part.left_out},
         arms_deg={letter: azimuth for part in parts for letter, azimuth in part.arms_deg.items()},
     )

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from lbacal_core.errors import BadInputError, UnreadableFileError
+from lbacal_core.errors import BadInputError
+from lbacal_core.foreign import parse_cell, read_text
 from lbacal_core.grids import Floats
 from lbacal_core.spectra.blocks import SpectraBlock, split_into_blocks
 from lbacal_core.spectra.screening import (
@@ -20,7 +21,7 @@ from lbacal_core.spectra.screening import (
     predict_daily_variation,
     robust_sigma,
 )
-from lbacal_core.spectra.spectra import Spectra
+from lbacal_core.spectra.spectra import Spectra, lay_out_rows
 from lbacal_core.traces.background import CleaningSettings, PathBackground
 from lbacal_core.traces.trace import StationEvent
 
@@ -45,10 +46,7 @@ class EventFacts:
 
 def read_event_facts(path: Path) -> EventFacts:
     """Read a CSV with the columns event_id and any of pulse_unix, temperature_c, rain_mm_h; empty means unknown."""
-    try:
-        lines = [line for line in path.read_text().splitlines() if line.strip() and not line.startswith("#")]
-    except (OSError, UnicodeDecodeError) as error:
-        raise UnreadableFileError(f"{path}: expected a CSV file, found something unreadable") from error
+    lines = [line for line in read_text(path).splitlines() if line.strip() and not line.startswith("#")]
     reader = csv.DictReader(lines)
     known = {"event_id", "pulse_unix", *COVARIATES}
     columns = set(reader.fieldnames or ())
@@ -59,24 +57,12 @@ def read_event_facts(path: Path) -> EventFacts:
     pulses: dict[str, float] = {}
     environment: dict[str, dict[str, float]] = {}
     for number, row in enumerate(reader, start=1):
-        values = {name: _number(row[name], f"{path}: {name}, row {number}") for name in columns - {"event_id"}}
+        values = {name: parse_cell(row[name], f"{path}: {name}, row {number}") for name in columns - {"event_id"}}
         event = row["event_id"]
         if np.isfinite(values.get("pulse_unix", np.nan)):
             pulses[event] = values["pulse_unix"]
         environment[event] = {name: values[name] for name in COVARIATES if name in values}
     return EventFacts(pulses, environment)
-
-
-def _number(text: str | None, place: str) -> float:
-    if text is None or not text.strip():
-        return float("nan")
-    try:
-        value = float(text)
-    except ValueError as error:
-        raise BadInputError(place, "a number, or nothing where unknown", repr(text)) from error
-    if not np.isfinite(value):
-        raise BadInputError(place, "a finite number, or nothing where unknown", repr(text))
-    return value
 
 
 def record_background(event: StationEvent, background: PathBackground, settings: CleaningSettings) -> dict[str, Any]:
@@ -120,24 +106,14 @@ def assemble_spectra(
     for name in COVARIATES:
         of_event = {event: values[name] for event, values in facts.environment.items() if name in values}
         if of_event:
-            environment[name] = _column([of_event.get(record["event_id"], np.nan) for record in usable])
+            environment[name] = np.array([of_event.get(record["event_id"], np.nan) for record in usable], dtype=float)
     return Spectra(
         frequency_mhz=np.array(settings.frequency_mhz),
-        power=_column([record["power"] for record in usable]).reshape(len(usable), settings.frequency_mhz.size),
-        event_id=np.array([record["event_id"] for record in usable], dtype=np.str_),
-        time_unix=_column([record["time_unix"] for record in usable]),
-        station=np.array([record["station"] for record in usable], dtype=np.str_),
-        antenna=np.array([record["antenna"] for record in usable], dtype=np.int64),
-        dipole=np.array([record["dipole"] for record in usable], dtype=np.str_),
-        blocks=np.array([record["blocks"] for record in usable], dtype=np.int64),
+        **lay_out_rows(usable, settings.frequency_mhz.size),
         resistance_ohm=settings.resistance_ohm,
         environment=environment,
         origin="traces",
     )
-
-
-def _column(values: list[Any]) -> Floats:
-    return np.array(values, dtype=float)
 
 
 # Events with anomalous power, and why: thunderstorms, failing receivers, saturation (section 3.1 of the paper).

@@ -27,6 +27,8 @@ def draw_noise(
     sample_rate_mhz
         f_s, at least twice the highest frequency.
     """
+    if power.shape[-1:] != frequency_mhz.shape or not np.all(power > 0):
+        raise BadInputError("power", f"{frequency_mhz.size} densities > 0 of each trace", f"shape {power.shape}")
     edge = guess_widths(frequency_mhz)[[0, -1]] / 2.0 * [-1.0, 1.0] + frequency_mhz[[0, -1]]
     if not isinstance(samples, int | np.integer) or samples < 2 or not sample_rate_mhz >= 2.0 * edge[1]:
         expected = f"two samples or more, at least {2.0 * edge[1]:g} MHz"

@@ -6,7 +6,6 @@ import re
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -15,8 +14,9 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.errors import BadInputError, UnreadableFileError, require_name
+from lbacal_core.errors import BadInputError, UnreadableFileError, reading, require_name
 from lbacal_core.hdf5 import HDF5_FAILURES, is_in_file
+from lbacal_core.spectra.spectra import name_event
 
 BLOCK_SAMPLES = 1024
 """Samples of a block (5.12 us at 200 MHz), which is also what one TBB frame holds."""
@@ -314,11 +314,11 @@ _NOT_SET = ("", "NULL", UNKNOWN_ANTENNA_SET)
 
 def list_hdf5_traces(path: Path, antenna_set: str | None = None) -> list[TraceReference]:
     """Find the traces in a TBB file in HDF5."""
-    try:
-        with h5py.File(path, "r") as file:
-            references = _list_open_file(file, path, antenna_set)
-    except HDF5_FAILURES as error:
-        raise UnreadableFileError(f"{path}: expected a TBB file (HDF5), found something unreadable") from error
+    with (
+        reading(f"{path}: expected a TBB file (HDF5), found something unreadable", *HDF5_FAILURES),
+        h5py.File(path, "r") as file,
+    ):
+        references = _list_open_file(file, path, antenna_set)
     if not references:
         raise UnreadableFileError(f"{path}: expected station groups with dipole datasets, found none")
     return references
@@ -358,15 +358,13 @@ def _list_open_file(file: h5py.File, path: Path, antenna_set: str | None) -> lis
 
 def read_hdf5_trace(reference: TraceReference) -> Trace:
     """Read one dipole's dataset; blocks that the writer filled with zeros were lost."""
-    try:
-        with h5py.File(reference.path, "r") as file:
-            dataset = file[reference.dataset]
-            samples = np.asarray(dataset[()])
-            declared = int(_attribute(dataset, "DATA_LENGTH", samples.size))
-            count = samples.size // BLOCK_SAMPLES
-            is_in_flags = _blocks_in_ranges(_attribute(dataset, "FLAG_OFFSETS", None), count)
-    except HDF5_FAILURES as error:
-        raise UnreadableFileError(f"{reference.path}: dataset {reference.dataset} cannot be read ({error})") from error
+    place = f"{reference.path}: dataset {reference.dataset}"
+    with reading(f"{place} cannot be read", *HDF5_FAILURES), h5py.File(reference.path, "r") as file:
+        dataset = file[reference.dataset]
+        samples = np.asarray(dataset[()])
+        declared = int(_attribute(dataset, "DATA_LENGTH", samples.size))
+        count = samples.size // BLOCK_SAMPLES
+        is_in_flags = _blocks_in_ranges(_attribute(dataset, "FLAG_OFFSETS", None), count)
     if samples.size and (samples.min() < -32768 or samples.max() > 32767):
         raise BadInputError(f"{reference.path}: {reference.dataset}", "16-bit samples", f"{samples.dtype}")
     blocks = samples[: count * BLOCK_SAMPLES].reshape(count, BLOCK_SAMPLES).astype(np.int16)
@@ -477,11 +475,6 @@ def find_files(paths: Iterable[Path]) -> list[Path]:
         else:
             files.append(path)
     return list(dict.fromkeys(files))
-
-
-def name_event(time_unix: float) -> str:
-    """Event id from the UTC second in which the event starts: 20110719T110541."""
-    return f"{datetime.fromtimestamp(int(time_unix), UTC):%Y%m%dT%H%M%S}"
 
 
 def group_traces(references: Sequence[TraceReference], event_id: str | None = None) -> list[StationEvent]:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields
 from typing import Any, TypeVar
 
-from sqlalchemy import ColumnElement, Connection, Row, Table
+from sqlalchemy import ColumnElement, Connection, Row, Select, Table
 from sqlalchemy.dialects.postgresql import insert as postgresql_insert
 from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
@@ -14,6 +14,7 @@ from lbacal_core.curves.validity import Scope
 
 Value = TypeVar("Value")
 Rows = Sequence[Mapping[str, Any]]
+MANY_KEYS = 500
 
 
 class Store:
@@ -40,6 +41,15 @@ def put_rows(connection: Connection, table: Table, rows: Rows) -> None:
         statement, keys = insert_into(connection, table), [column.name for column in table.primary_key]
         changed = {name: statement.excluded[name] for name in rows[0] if name not in keys}
         connection.execute(statement.on_conflict_do_update(index_elements=keys, set_=changed), rows)
+
+
+def select_many(
+    connection: Connection, statement: Select[Any], column: ColumnElement[Any], keys: Iterable[Any]
+) -> Iterator[Row[Any]]:
+    """The rows of a statement in which a column has one of some keys, asked `MANY_KEYS` at a time in their order."""
+    wanted = sorted(set(keys))
+    for start in range(0, len(wanted), MANY_KEYS):
+        yield from connection.execute(statement.where(column.in_(wanted[start : start + MANY_KEYS])))
 
 
 def to_row(value: Any, table: Table, **given: Any) -> dict[str, Any]:

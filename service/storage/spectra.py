@@ -32,7 +32,7 @@ from lbacal_core.spectra.screening import LASTING_EVENTS, SHARE_OF_STATE, measur
 from lbacal_core.spectra.spectra import MAX_COVARIATES, Spectra
 from service.errors import ConflictError, NotFoundError
 from service.schema.tables import IS_FAR, event, event_flag, event_station, path, receipt, spectrum
-from service.storage.rows import Store, add_rows, equal, insert_into
+from service.storage.rows import Store, add_rows, equal, insert_into, select_many
 
 # Spectra as they arrive: each event, covariate and spectrum is stored once, whoever sends it how often.
 #
@@ -194,8 +194,8 @@ class Arrivals:
         return np.array([stored[name].id for name in names], dtype=np.int64)[of_row]
 
     def _stored_events(self, names: Sequence[str]) -> dict[str, Any]:
-        wanted = [select(event).where(event.c.event_id.in_(some)) for some in _parts(names)]
-        return {row.event_id: row for statement in wanted for row in self._connection.execute(statement)}
+        found = select_many(self._connection, select(event), event.c.event_id, names)
+        return {row.event_id: row for row in found}
 
     def _require_one_time(
         self, names: Sequence[str], of_row: NDArray[np.int64], times: NDArray[np.int64], stored: Mapping[str, Any]
@@ -301,7 +301,6 @@ def _count(connection: Connection, spectra: Mapping[OfStation, int], waiting: Ma
         connection.execute(statement.on_conflict_do_update(index_elements=["event", "station"], set_=sums), rows)
 
 
-EVENTS_AT_ONCE = 500
 FAR_LEVEL = "far_level"
 """The flag under which events are listed of which a spectrum waits."""
 
@@ -409,13 +408,11 @@ class SpectraStore(Store):
         """Covariates by name at the events of some row numbers, shape (row,); NaN where unknown."""
         found, at = np.unique(numbers, return_inverse=True)
         known: dict[str, Floats] = {}
-        for start in range(0, found.size, EVENTS_AT_ONCE):
-            some = found[start : start + EVENTS_AT_ONCE]
-            statement = select(event.c.id, event.c.env).where(event.c.id.in_(some.tolist()), event.c.env.is_not(None))
-            for number, env in self._connection.execute(statement):
-                for name, value in json.loads(env).items():
-                    values = known.setdefault(name, np.full(found.size, np.nan))
-                    values[np.searchsorted(found, number)] = np.nan if value is None else value
+        statement = select(event.c.id, event.c.env).where(event.c.env.is_not(None))
+        for row in select_many(self._connection, statement, event.c.id, found.tolist()):
+            for name, value in json.loads(row.env).items():
+                values = known.setdefault(name, np.full(found.size, np.nan))
+                values[np.searchsorted(found, row.id)] = np.nan if value is None else value
         return {name: values[at] for name, values in known.items()}
 
     def _paths(self, scope: Scope) -> Sequence[Row[Any]]:

@@ -21,11 +21,10 @@ from lbacal_core.provenance import canonical_json, hash_content
 from service.errors import NotFoundError
 from service.schema.tables import IS_GATED, budget, calibration, calibration_mean, chain_part, examined, promotion
 from service.storage.models import complete_id
-from service.storage.rows import Store, add_rows, equal, from_row, put_rows, scope_columns, to_row
+from service.storage.rows import Store, add_rows, equal, from_row, put_rows, scope_columns, select_many, to_row
 
 # The reference chains of versions: members and L_ref beside the version, cables and spreads once under their hash.
 
-MANY_KEYS = 500
 PARTS_REMEMBERED = 64
 """Tables of cables, and as many of spreads, that stay in memory; they never change, and there are few."""
 
@@ -66,7 +65,8 @@ def read_chains(connection: Connection, references: Mapping[str, str | None]) ->
     described = [chain for of_version in own.values() for chain in of_version.values()]
     tables = {chain["cables"] for chain in described}
     spreads = {chain["spreads"] for chain in described if chain["spreads"] is not None}
-    contents = dict(_read_parts(connection, tables | spreads))
+    found = select_many(connection, select(chain_part), chain_part.c.sha256, tables | spreads)
+    contents = {row.sha256: row.content for row in found}
     table_of = {digest: _parse_cables(contents[digest]) for digest in tables}
     spreads_of = {digest: _parse_spreads(contents[digest]) for digest in spreads}
     return {
@@ -92,14 +92,6 @@ def _parse_cables(text: str) -> CableTable:
 @lru_cache(PARTS_REMEMBERED)
 def _parse_spreads(text: str) -> GainSpreads:
     return parse_spreads(json.loads(text))
-
-
-def _read_parts(connection: Connection, digests: Iterable[str]) -> Iterable[tuple[str, str]]:
-    wanted = sorted(digests)
-    for start in range(0, len(wanted), MANY_KEYS):
-        of_keys = chain_part.c.sha256.in_(wanted[start : start + MANY_KEYS])
-        for row in connection.execute(select(chain_part).where(of_keys)):
-            yield row.sha256, row.content
 
 
 BESIDE = "beside"
@@ -292,13 +284,8 @@ class VersionStore(Store):
 
     def get_many(self, ids: Iterable[str]) -> dict[str, Version]:
         """Versions by their ids; unknown ids are left out."""
-        wanted = sorted(set(ids))
-        found: dict[str, Version] = {}
-        for start in range(0, len(wanted), 500):
-            of_ids = calibration.c.id.in_(wanted[start : start + 500])
-            rows = self._connection.execute(select(calibration).where(of_ids)).all()
-            found |= {row.id: version for row, version in zip(rows, self._values(rows), strict=True)}
-        return found
+        rows = list(select_many(self._connection, select(calibration), calibration.c.id, ids))
+        return {row.id: version for row, version in zip(rows, self._values(rows), strict=True)}
 
     def first_alike(self, ids: Collection[str]) -> dict[str, str]:
         """The version that was made first of the same window and inputs, whatever other windows stood beside, by id."""
@@ -359,12 +346,7 @@ class VersionStore(Store):
             calibration_mean.c.dipole, calibration_mean.c.c, calibration_mean.c.c_sigma,
         ]  # fmt: skip
         statement = select(*columns).join(calibration, calibration.c.id == calibration_mean.c.calibration)
-        wanted = sorted(set(ids))
-        rows = [
-            row
-            for start in range(0, len(wanted), 500)
-            for row in self._connection.execute(statement.where(calibration.c.id.in_(wanted[start : start + 500])))
-        ]
+        rows = select_many(self._connection, statement, calibration.c.id, ids)
         return [
             MeanC(
                 row.id, Scope(row.station, row.antenna, row.scope_dipole), row.dipole,
@@ -426,10 +408,5 @@ class BudgetStore(Store):
 
     def get_texts(self, digests: Iterable[str]) -> dict[str, str]:
         """Budgets by their hash as they are stored, canonical JSON; unknown ones are left out."""
-        wanted = sorted(set(digests))
-        found: dict[str, str] = {}
-        for start in range(0, len(wanted), MANY_KEYS):
-            is_wanted = budget.c.sha256.in_(wanted[start : start + MANY_KEYS])
-            rows = self._connection.execute(select(budget).where(is_wanted).order_by(budget.c.sha256))
-            found |= {row.sha256: row.content for row in rows}
-        return found
+        found = select_many(self._connection, select(budget).order_by(budget.c.sha256), budget.c.sha256, digests)
+        return {row.sha256: row.content for row in found}

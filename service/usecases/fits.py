@@ -19,7 +19,7 @@ from lbacal_core.audit.audit import audit_quickly
 from lbacal_core.calibration.budget import add_budget, compute_budget
 from lbacal_core.calibration.continued import Continued, continue_fit
 from lbacal_core.calibration.separable import solve_separable
-from lbacal_core.calibration.singles import MIN_EVENTS
+from lbacal_core.calibration.singles import MIN_EVENTS, has_enough
 from lbacal_core.calibration.windows import cut_window, find_hardware_changes
 from lbacal_core.calibration.years import Beside, gain_modes
 from lbacal_core.causes.model import Model
@@ -271,7 +271,7 @@ class Fits:
         """
         stations = {station for station, *_ in spectra.quarter_hashes}
         concerned = {one.station for one in model.causes}.intersection(stations)
-        enough = model.of_stations([name for name in concerned if _has_enough(spectra.read(name), name)])
+        enough = model.of_stations([name for name in concerned if has_enough(spectra.read(name))])
 
         def fit() -> FittedCauses:
             simulation = self.simulation.with_causes(enough).smeared(spectra)
@@ -484,13 +484,6 @@ def _list_cuts(wanted: Wanted) -> dict[tuple[str, int | None], list[float]]:
     for one in wanted.cuts:
         found.setdefault((one.station, one.antenna), []).append(one.date / SECOND_US)
     return found
-
-
-def _has_enough(spectra: Spectra, station: str) -> bool:
-    """Whether any path of a station has the events that a fit needs."""
-    of_station = spectra.station == station
-    paths = np.stack([spectra.antenna[of_station], spectra.dipole[of_station] == "Y"])
-    return bool(np.unique(paths, axis=1, return_counts=True)[1].max() >= MIN_EVENTS)
 
 
 def read_part(stores: Stores, request: Mapping[str, Any], model: Model, by: str, reason: str) -> Wanted:

@@ -10,14 +10,14 @@ from statistics import median
 
 import numpy as np
 
-from lbacal.instants import format_instant, parse_instant
+from lbacal.instants import SECOND_US, format_instant, parse_instant
 from lbacal_core.curves.validity import Instant
 from lbacal_core.errors import BadInputError, name_path, require_name
 from lbacal_core.grids import Floats, require_same_grid
 from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.spectra.screening import FAR, find_lasting, measure_level
-from lbacal_core.spectra.spectra import Spectra
+from lbacal_core.spectra.spectra import Spectra, lay_out_rows
 from service.errors import ConflictError
 from service.storage.database import Database, Stores
 from service.storage.spectra import EVENT_SPAN_US, StoredEvent
@@ -256,13 +256,9 @@ def _as_spectra(body: SpectraBody, rows: Sequence[int], times: Sequence[Instant]
             raise BadInputError(f"body.spectra[{k}].power", f"{channels} channels", str(len(row.power)))
     return Spectra(
         frequency_mhz=np.array(body.frequency_mhz, dtype=float),
-        power=np.array([row.power for row in kept], dtype=float),
-        event_id=np.array([row.event_id for row in kept], dtype=np.str_),
-        time_unix=np.array([times[k] for k in rows], dtype=np.int64) / 1e6,
-        station=np.array([row.station for row in kept], dtype=np.str_),
-        antenna=np.array([row.antenna for row in kept], dtype=np.int64),
-        dipole=np.array([row.dipole for row in kept], dtype=np.str_),
-        blocks=np.array([row.blocks for row in kept], dtype=np.int64),
+        **lay_out_rows(
+            [{**vars(row), "time_unix": times[k] / SECOND_US} for k, row in zip(rows, kept, strict=True)], channels
+        ),
         resistance_ohm=resistance_ohm if body.resistance_ohm is None else body.resistance_ohm,
         environment={n: np.array([np.nan if e.get(n) is None else e[n] for e in env], dtype=float) for n in names},
         origin="body",

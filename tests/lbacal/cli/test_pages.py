@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from lbacal.analysis.budget import ErrorBudget
+from lbacal.analysis.budget import ErrorBudget, draw_budget
 from lbacal.analysis.result import align
 from lbacal.cli.main import app
-from lbacal.pages.budget import draw_budget
 from lbacal.pages.chart import Chart, Series, plot_charts
 from lbacal.pages.finding import draw_finding, draw_scores, draw_sentence, draw_station, tell_finding
 from lbacal.pages.fit import average_residuals, draw_c, draw_fit, draw_page

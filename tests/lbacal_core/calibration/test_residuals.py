@@ -1,11 +1,8 @@
 import numpy as np
 import pytest
 
-from lbacal_core.calibration.antenna_noise import draw_noise
 from lbacal_core.curves.curves import CONVERGED, CalibrationCurve, Parameter
-from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.instrument.matching import RESISTANCE_OHM
 from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.simulation.simulation import Simulation, noise_at_input
 from lbacal_core.sky.table import SkyPower
@@ -48,33 +45,3 @@ def test_noise_terms_at_the_input_add_up_to_the_predicted_power(campaign, low_ba
     silent = Simulation(low_band).electronics(curve)
     np.testing.assert_allclose(sum(terms.values()) * low_band.antenna_gain / curve.c**2, silent)
     assert terms["adc"] == pytest.approx(curve.parameters["n_adc"].value * curve.c**2 / low_band.antenna_gain)
-
-
-FREQUENCY = np.arange(30.0, 81.0)
-RATE = 200.0
-
-
-def test_noise_has_the_density_that_was_asked_for():
-    power = 1.0 + 3.0 * np.exp(-(((FREQUENCY - 58.0) / 5.0) ** 2))
-    samples, trials = 2000, 1500
-    traces = draw_noise(power, FREQUENCY, samples, RATE, np.random.default_rng(3), trials)
-    bins = np.fft.rfftfreq(samples, 1 / RATE)
-    density = 2 * np.mean(np.abs(np.fft.rfft(traces, axis=1)) ** 2, axis=0) / (samples * RATE * RESISTANCE_OHM)
-    at = [int(np.argmin(np.abs(bins - nu))) for nu in FREQUENCY]
-    # a mean of 1500 exponential variables scatters by 2.6 %
-    assert density[at] == pytest.approx(power, rel=0.12)
-    assert np.mean(density[at] / power) == pytest.approx(1.0, abs=0.02)
-    assert np.all(density[(bins < 29) | (bins > 81)] < 1e-20)
-
-
-def test_the_mean_square_is_the_sum_of_the_spectrum():
-    power = np.linspace(2.0, 5.0, 51)
-    traces = draw_noise(power, FREQUENCY, 20_000, RATE, np.random.default_rng(4), 50)
-    assert np.mean(traces**2) == pytest.approx(power.sum() * 1.0 * RESISTANCE_OHM, rel=0.01)
-
-
-def test_too_slow_sampling_and_negative_densities_are_refused():
-    with pytest.raises(BadInputError, match="161"):
-        draw_noise(np.ones(51), FREQUENCY, 100, 150.0, np.random.default_rng(0))
-    with pytest.raises(BadInputError, match="densities"):
-        draw_noise(-np.ones(51), FREQUENCY, 100, RATE, np.random.default_rng(0))

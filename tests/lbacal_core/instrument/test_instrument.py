@@ -85,7 +85,10 @@ WRONG_CONTENT: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "antenna negative": (put("antennas", 2, "antenna", -1), "row 2: antenna: expected a whole number >= 0, found -1"),
     "no station": (lambda c: c["antennas"][1].pop("station"), "antennas, row 1: expected station, antenna and cable"),
     "record as list": (put("antennas", 0, ["CS002", 0]), "antennas, row 0: expected station, antenna and cable"),
-    "since in words": (put("antennas", 1, "since", "May"), "row 1: since: expected an ISO 8601 date, found 'May'"),
+    "since in words": (
+        put("antennas", 1, "since", "May"),
+        "row 1: since: expected an ISO 8601 date or instant, found 'May'",
+    ),
     "since before time": (put("antennas", 1, "since", "0001-01-01T00:00+14:00"), "row 1: since: expected an ISO 8601"),
     "until before since": (put("antennas", 1, "until", "2012-01-01"), "antennas, row 1: until: expected a date after"),
     "misspelt since": (

@@ -57,7 +57,7 @@ def test_a_flagged_integration_does_not_count_in_the_mean_of_its_interval(table)
         ("2014-05-01T03:00:20Z", "2014-05-01T02:00:20Z", "rows in order of time"),
         (", 1, EW, 30", ", one, EW, 30", "antenna: expected a number >= 0 in every row, found 'one'"),
         ("9.0, 9.0, 9.0", "9.0, many, 9.0", "50.4 MHz: expected a number, found 'many'"),
-        ("03:00:20Z", "noon", "an ISO 8601 instant"),
+        ("03:00:20Z", "noon", "an ISO 8601 date or instant"),
         (", 51.2", ", 50.4", "a name for every column, each once"),
         (", 50.0, 50.4, 51.2", "", "at least one column that is a frequency"),
     ],
@@ -99,7 +99,7 @@ def test_archives_hold_the_same_as_tables(tmp_path):
     [
         ("0X", "X0", "an antenna and a dipole, such as 17X"),
         ("# time: 2014-05-01T03:00:00Z", "", "a line '# time"),
-        ("2014-05-01T03:00:00Z", "yesterday", "an ISO 8601 instant"),
+        ("2014-05-01T03:00:00Z", "yesterday", "an ISO 8601 date or instant"),
         ("41,1.0", "41,many", "numbers in every column"),
         ("41,1.0,", "41,", "4 columns in every row|numbers in every column"),
         ("frequency_mhz", "MHz", "frequency_mhz and one column a path, or time,antenna"),

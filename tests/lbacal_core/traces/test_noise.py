@@ -52,3 +52,17 @@ def test_a_single_amplitude_is_that_of_the_convention() -> None:
 def test_a_rate_that_is_too_low_is_refused() -> None:
     with pytest.raises(BadInputError, match="161 MHz, found 1024, 160"):
         draw_noise(CHANNELS, POWER[None], 1024, 160.0, np.random.default_rng(6))
+
+
+def test_a_negative_density_is_refused() -> None:
+    with pytest.raises(BadInputError, match="densities"):
+        draw_noise(CHANNELS, -POWER[None], 1024, 200.0, np.random.default_rng(0))
+
+
+def test_every_channel_has_the_density_that_was_asked_for() -> None:
+    samples, trials = 2000, 1500
+    noise = draw_noise(CHANNELS, np.tile(POWER, (trials, 1)), samples, 200.0, np.random.default_rng(3))
+    density = 2 * np.mean(np.abs(np.fft.rfft(noise, axis=1)) ** 2, axis=0) / (samples * 200.0 * 50.0)
+    at = np.searchsorted(np.fft.rfftfreq(samples, 1 / 200.0), CHANNELS - 1e-6)
+    # a mean of 1500 exponential variables scatters by 2.6 %
+    np.testing.assert_allclose(density[at], POWER, rtol=0.12)

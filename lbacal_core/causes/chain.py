@@ -1,4 +1,4 @@
-"""Causes in the low-noise amplifier and in the gain in front of the receiver."""
+"""Causes in amplifier, cable, receiver and digitiser: what they do to the chain, and when."""
 
 from __future__ import annotations
 
@@ -7,11 +7,69 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lbacal_core.causes.cause import FEWEST_KNOWN, SCOPES, TEMPERATURE, YEAR_S, Cause, Conditions, SizeRange, Template
+from lbacal_core.causes.cause import (
+    FEWEST_KNOWN,
+    SCOPES,
+    TEMPERATURE,
+    YEAR_S,
+    Act,
+    Cause,
+    Conditions,
+    SizeRange,
+    Template,
+    read_between,
+)
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.chain import ChainTerms
 
 NO_TEMPERATURE = f"no column {TEMPERATURE} that varies and is known on {FEWEST_KNOWN} events"
+
+
+# What an amount does to the chain, shape (event, 1) or scalar.
+
+
+def scale_gain(terms: ChainTerms, _: Conditions, amount: Floats) -> ChainTerms:
+    """The gain in front of N_RCU times 1 + amount."""
+    return replace(terms, front=terms.front * (1.0 + amount))
+
+
+def scale_lna_noise(terms: ChainTerms, _: Conditions, amount: Floats) -> ChainTerms:
+    """N_LNA times 1 + amount."""
+    return replace(terms, n_lna=terms.n_lna * (1.0 + amount))
+
+
+def tilt_lna_noise(terms: ChainTerms, conditions: Conditions, amount: Floats) -> ChainTerms:
+    """N_LNA times 1 + amount x (nu - 55 MHz) / 25 MHz."""
+    return replace(terms, n_lna=terms.n_lna * (1.0 + amount * (conditions.frequency_mhz - 55.0) / 25.0))
+
+
+def scale_loss(terms: ChainTerms, conditions: Conditions, amount: Floats) -> ChainTerms:
+    """L_coax to the power 1 + amount."""
+    return replace(terms, front=terms.front * np.exp(amount * conditions.cable_log_loss[:, None, :]))
+
+
+def scale_adc_noise(terms: ChainTerms, _: Conditions, amount: Floats) -> ChainTerms:
+    """N_ADC times 1 + amount."""
+    return replace(terms, adc_noise=terms.adc_noise * (1.0 + amount))
+
+
+def compress(terms: ChainTerms, _: Conditions, amount: Floats) -> ChainTerms:
+    """The gain in front of the converter times 1 - amount x (total power there / its mean - 1)."""
+    total = np.sum((terms.sky + terms.n_lna) * terms.front + terms.receiver_noise, axis=-1, keepdims=True)
+    factor = 1.0 - amount * (total / total.mean(axis=1, keepdims=True) - 1.0)
+    return replace(terms, front=terms.front * factor, receiver_noise=terms.receiver_noise * factor)
+
+
+def add_jitter(terms: ChainTerms, conditions: Conditions, amount: Floats) -> ChainTerms:
+    """N_ADC plus amount x mean power x (integral nu^2 P dnu / its mean)."""
+    power = terms.power()
+    slope_power = (conditions.frequency_mhz**2 * power).sum(axis=-1, keepdims=True)
+    relative = slope_power / slope_power.mean(axis=1, keepdims=True)
+    level = power.mean(axis=(1, 2), keepdims=True)
+    return replace(terms, adc_noise=terms.adc_noise + amount * level * relative)
+
+
+# Causes by when they act: those of the catalogue are made of them and of the acts above.
 
 
 @dataclass(frozen=True)
@@ -54,26 +112,8 @@ class StepCause(Cause):
         return [step_template(instant) for instant in conditions.dates_about(template.parameters["date_unix"])]
 
     def is_another(self, template: Template, earlier: Template) -> bool:
-        """Whether the dates differ."""
-        return bool(template.parameters["date_unix"] != earlier.parameters["date_unix"])
-
-
-@dataclass(frozen=True)
-class LnaNoiseSlope(Cause):
-    """N_LNA is not flat in frequency."""
-
-    identifier: str = "lna_noise_slope"
-    unit: str = "fraction per 25 MHz"
-    meaning: str = "the noise of the LNA has a slope in frequency"
-    confirm: str = "measure the noise temperature of an LNA on a dummy load"
-    sizes: SizeRange = SizeRange(-1.0, 1.0)
-
-    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
-        """N_LNA with a slope about 55 MHz.
-
-        It is multiplied by 1 + amount (nu - 55 MHz) / 25 MHz.
-        """
-        return replace(terms, n_lna=terms.n_lna * (1.0 + amount * (conditions.frequency_mhz - 55.0) / 25.0))
+        """Whether the dates differ, or one follows temperature alone."""
+        return bool(template.parameters.get("date_unix") != earlier.parameters.get("date_unix"))
 
 
 @dataclass(frozen=True)
@@ -121,22 +161,6 @@ class MissingNoise(Cause):
 
 
 @dataclass(frozen=True)
-class LnaNoiseTemperature(TemperatureCause):
-    """N_LNA follows temperature."""
-
-    identifier: str = "lna_noise_temperature"
-    unit: str = "fraction per 10 K"
-    sizes: SizeRange = SizeRange(-0.5, 0.5)
-    meaning: str = "the noise of the LNA follows temperature"
-    confirm: str = "compare nights of equal LST in summer and winter at the lowest frequencies"
-    scopes: Sequence[str] = ("station", "group", "antenna", "path")
-
-    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
-        """N_LNA (1 + a dT / 10 K)."""
-        return replace(terms, n_lna=terms.n_lna * (1.0 + amount))
-
-
-@dataclass(frozen=True)
 class GainTemperature(TemperatureCause):
     """The gain in front of N_RCU follows temperature, with a delay."""
 
@@ -147,6 +171,7 @@ class GainTemperature(TemperatureCause):
     confirm: str = "compare the gain by day and by night at equal LST"
     axes: Sequence[str] = ("temperature", "utc", "date")
     scopes: Sequence[str] = ("station", "group", "antenna", "path")
+    does: Act | None = scale_gain
 
     def templates(self, conditions: Conditions) -> list[Template]:
         """Delays of 0 to 3 h."""
@@ -156,25 +181,6 @@ class GainTemperature(TemperatureCause):
     def finer_templates(self, conditions: Conditions, template: Template) -> list[Template]:  # noqa: ARG002
         """Delays by half hours."""
         return [Template({"delay_h": 0.5 * k}) for k in range(7)]
-
-    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
-        """The front gain times (1 + a dT / 10 K)."""
-        return replace(terms, front=terms.front * (1.0 + amount))
-
-
-@dataclass(frozen=True)
-class GainStep(StepCause):
-    """The gain in front of N_RCU steps at a date."""
-
-    identifier: str = "gain_step"
-    unit: str = "fraction"
-    sizes: SizeRange = SizeRange(-1.0, 10.0)
-    meaning: str = "the gain stepped at a date"
-    confirm: str = "look into the maintenance log of that date"
-
-    def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
-        """The front gain times (1 + f) from the date on."""
-        return replace(terms, front=terms.front * (1.0 + amount))
 
 
 @dataclass(frozen=True)
@@ -188,14 +194,50 @@ class GainDrift(Cause):
     confirm: str = "compare with earlier and later years"
     axes: Sequence[str] = ("date",)
     scopes: Sequence[str] = SCOPES
+    does: Act | None = scale_gain
 
     def time_profile(self, conditions: Conditions, template: Template) -> Floats:  # noqa: ARG002
         """Years since the mean instant of the data, shape (event, 1)."""
         return np.asarray((conditions.time_unix - conditions.time_unix.mean())[:, None] / YEAR_S)
 
+
+@dataclass(frozen=True)
+class FilterShift(StepCause):
+    """The receiver's filter moves in frequency, with temperature or at a date."""
+
+    identifier: str = "filter_shift"
+    unit: str = "fraction at 10 K, or the step"
+    sizes: SizeRange = SizeRange(-0.1, 0.1)
+    meaning: str = "the receiver's filter moves in frequency"
+    confirm: str = "measure the pass band of the receiver again"
+    axes: Sequence[str] = ("date", "temperature")
+    scopes: Sequence[str] = ("station", "group", "antenna", "path")
+    step: float = 1e-4
+
+    def templates(self, conditions: Conditions) -> list[Template]:
+        """Temperature, and steps at dates."""
+        steps = super().templates(conditions)
+        return steps if conditions.covariate(TEMPERATURE) is None else [Template({"follows": "temperature"}), *steps]
+
+    def covariates(self, template: Template) -> Sequence[str]:
+        """Temperature, where that is followed."""
+        return () if "date_unix" in template.parameters else (TEMPERATURE,)
+
+    def time_profile(self, conditions: Conditions, template: Template) -> Floats:
+        """Temperature about its mean, per 10 K, or 1 from the date on where the template has one, shape (event, 1)."""
+        if "date_unix" in template.parameters:
+            return super().time_profile(conditions, template)
+        return conditions.warmth()
+
+    def finer_templates(self, conditions: Conditions, template: Template) -> list[Template]:
+        """The dates of single events."""
+        return super().finer_templates(conditions, template) if "date_unix" in template.parameters else [template]
+
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:  # noqa: ARG002
-        """The front gain times 1 + rate x time."""
-        return replace(terms, front=terms.front * (1.0 + amount))
+        """G_RCU read at nu (1 + s), s the amount."""
+        frequency, log_gain = conditions.frequency_mhz, np.log(conditions.receiver_gain)
+        factor = np.exp(read_between(frequency, log_gain, frequency * (1.0 + amount)) - log_gain)
+        return replace(terms, front=terms.front * factor, receiver_noise=terms.receiver_noise * factor)
 
 
 def step_template(instant: float) -> Template:
