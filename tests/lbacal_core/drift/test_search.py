@@ -259,3 +259,21 @@ def test_sizes_of_steps_in_a_small_group_cover_the_truth():
         pulls.append((found.step_size[1, 0, 0] - 0.05) / found.step_size_sigma[1, 0, 0])
     assert 0.8 < np.std(pulls) < 1.2
     assert abs(np.mean(pulls)) < 0.4
+
+
+def _wander(rng: np.random.Generator) -> Series:
+    """Two polarisations of four antennas, each of which wanders by 2 % within four months."""
+    time_unix = np.sort(rng.uniform(0.0, 2 * YEAR_S, 240))
+    values = np.array([0.033, 0.011, 0.027]) * rng.standard_normal((8, 240, 3))
+    covariance = np.exp(-np.abs(time_unix[:, None] - time_unix) / (120 * DAY)) + 1e-9 * np.eye(240)
+    values += np.array([0.02, 0.006, 0.006]) * (np.linalg.cholesky(covariance) @ rng.standard_normal((8, 240, 3)))
+    return Series(values.astype(np.float32), np.arange(8) % 2, time_unix)
+
+
+def test_a_few_series_that_wander_do_not_step():
+    """Noise was estimated with the best step of each left out: 9 of 30 such stations had steps or slopes."""
+    changed = 0
+    for seed in range(30):
+        found = search_series(_wander(np.random.default_rng([34, seed])))
+        changed += np.isfinite(found.terms.dates).any() or found.terms.has_slope.any()
+    assert changed <= 4
