@@ -189,7 +189,8 @@ def find_threshold(false_alarms: float, trials: int, modes: int) -> float:
 # prior in time that is a probability of t, constant between two events: its median is the date, and the interval that
 # holds 95 % of it is stated beside its standard deviation. Where a path was silent, that interval is the gap.
 
-REACH_S = 62 * 86_400.0
+MONTH_S = 31 * 86_400.0
+REACH_S = 2 * MONTH_S
 """A step lies within so much of the month in which the scan saw it."""
 OUTER = 0.025
 """Probability on either side of the stated interval."""
@@ -243,6 +244,31 @@ def _quantile(total: Floats, p: Floats, time_unix: Floats, q: float) -> Floats:
     rows = np.arange(len(p))
     passed = 1.0 - (total[rows, gap] - q) / np.maximum(p[rows, gap], 1e-300)
     return np.asarray(time_unix[gap] + np.clip(passed, 0.0, 1.0) * (time_unix[gap + 1] - time_unix[gap]))
+
+
+def widen(date: Floats, errors: Floats, begins: Floats, gain: Floats) -> Floats:
+    """Errors of dates and their intervals, shape (3, step), with the probability of months farther than a month.
+
+    Parameters
+    ----------
+    date, errors
+        Shape (step,), and from events alone, shape (3, step).
+    begins
+        When months begin, shape (month,).
+    gain
+        Chi-square of a step before every month less that of the one with the date, shape (step, month); 0 where none is
+        possible is far less.
+    """
+    apart = begins - date[:, None]
+    far = np.where(np.abs(apart) > MONTH_S, np.exp(0.5 * np.minimum(gain, 0.0)), 0.0) * MONTH_S
+    near = np.sqrt(2.0 * np.pi) * errors[0]
+    total = near + far.sum(axis=1)
+    sigma = np.sqrt((near * errors[0] ** 2 + np.sum(far * apart**2, axis=1)) / total)
+    before = np.cumsum(far, axis=1) / total[:, None]
+    after = np.cumsum(far[:, ::-1], axis=1)[:, ::-1] / total[:, None]
+    earliest = np.where(before > OUTER, begins, np.inf).min(axis=1)
+    latest = np.where(after > OUTER, begins, -np.inf).max(axis=1)
+    return np.stack([sigma, np.minimum(errors[1], earliest), np.maximum(errors[2], latest)])
 
 
 # The noise of monthly series: that of events, and what lasts longer than an event, estimated from all series.
@@ -626,6 +652,21 @@ class SeriesModel:
                 found = find_dates(self.series.time_unix, left @ self.whitener.T, size @ self.whitener.T, near)
                 self._set_dates(some, step, found.date)
                 self.errors[:, some, step] = found.sigma, found.earliest, found.latest
+
+    def widen_dates(self) -> None:
+        """Add to the errors of dates that a step in another month, with a size of its own, explains about as much."""
+        begins, chi2 = self.series.time_unix[self.starts], self.own_chi2()[0]
+        is_free = np.isfinite(self.terms.dates) & ~self.terms.is_known
+        for j in np.flatnonzero(np.any(is_free, axis=0)):
+            rows, before, errors = np.flatnonzero(is_free[:, j]), self.terms, self.errors.copy()
+            self.remove(is_free & (np.arange(is_free.shape[1]) == j), np.zeros_like(before.has_slope))
+            self.fit_terms(rows)
+            steps, _ = self.scores(rows)
+            self.restore(before, errors, rows)
+            self.fit_terms(rows)
+            self.errors[:, rows, j] = widen(
+                before.dates[rows, j], errors[:, rows, j], begins, steps - chi2[rows, j, None]
+            )
 
     def _set_dates(self, rows: NDArray[np.int64], step: NDArray[np.int64], dates: Floats) -> None:
         new = self.terms.dates.copy()

@@ -268,6 +268,7 @@ class _Search(SeriesModel):
 
     def report(self) -> Found:
         """Report steps and slopes; slopes of all series from a last fit in which each has one."""
+        self.widen_dates()
         steps, _ = self.own_chi2()
         at = slice(STEPS, None)
         size = np.einsum("ksj,ks->sjk", self.result.theta[:, :, at], self.scale)
