@@ -189,7 +189,8 @@ def find_threshold(false_alarms: float, trials: int, modes: int) -> float:
 # prior in time that is a probability of t, constant between two events: its median is the date, and the interval that
 # holds 95 % of it is stated beside its standard deviation. Where a path was silent, that interval is the gap.
 
-REACH_S = 62 * 86_400.0
+MONTH_S = 31 * 86_400.0
+REACH_S = 2 * MONTH_S
 """A step lies within so much of the month in which the scan saw it."""
 OUTER = 0.025
 """Probability on either side of the stated interval."""
@@ -245,6 +246,31 @@ def _quantile(total: Floats, p: Floats, time_unix: Floats, q: float) -> Floats:
     return np.asarray(time_unix[gap] + np.clip(passed, 0.0, 1.0) * (time_unix[gap + 1] - time_unix[gap]))
 
 
+def widen(date: Floats, errors: Floats, begins: Floats, gain: Floats) -> Floats:
+    """Errors of dates and their intervals, shape (3, step), with the probability of months farther than a month.
+
+    Parameters
+    ----------
+    date, errors
+        Shape (step,), and from events alone, shape (3, step).
+    begins
+        When months begin, shape (month,).
+    gain
+        Chi-square of a step before every month less that of the one with the date, shape (step, month); 0 where none is
+        possible is far less.
+    """
+    apart = begins - date[:, None]
+    far = np.where(np.abs(apart) > MONTH_S, np.exp(0.5 * np.minimum(gain, 0.0)), 0.0) * MONTH_S
+    near = np.sqrt(2.0 * np.pi) * errors[0]
+    total = near + far.sum(axis=1)
+    sigma = np.sqrt((near * errors[0] ** 2 + np.sum(far * apart**2, axis=1)) / total)
+    before = np.cumsum(far, axis=1) / total[:, None]
+    after = np.cumsum(far[:, ::-1], axis=1)[:, ::-1] / total[:, None]
+    earliest = np.where(before > OUTER, begins, np.inf).min(axis=1)
+    latest = np.where(after > OUTER, begins, -np.inf).max(axis=1)
+    return np.stack([sigma, np.minimum(errors[1], earliest), np.maximum(errors[2], latest)])
+
+
 # The noise of monthly series: that of events, and what lasts longer than an event, estimated from all series.
 #
 # The mean of n events has the variance 1/n in units of the event noise. Weather, read-out and whatever nobody models
@@ -298,15 +324,22 @@ def estimate_lasting(
     if not np.any(events > 0):
         return Lasting(0.0, 1.0)
     some = slice(None, None, max(1, -(-len(y) // MOST_SERIES)))
-    y, events, scale, more = y[some], events[some], scale[some], more[some]
-    prior = np.full((len(y), smooth.shape[1]), _FREE)
+    fixed = fixed_covariance(events[some], smooth, scale[some], months, more[some])
+    of_month = 1.0 / np.median(events[some][events[some] > 0])
+    grid = [Lasting(0.0, 1.0)]
+    grid += [Lasting(level * of_month, length) for level in LEVELS[1:] for length in LENGTHS_MONTHS]
+    return min(grid, key=lambda one: minus_log_likelihood(fixed + one.covariance(months), y[some]))
+
+
+def fixed_covariance(
+    events: Floats, smooth: Floats, scale: Floats, months: NDArray[np.datetime64], more: Floats
+) -> Floats:
+    """Covariance of what does not last, shape (series, month, month); arguments as in `estimate_lasting`."""
+    prior = np.full((len(events), smooth.shape[1]), _FREE)
     prior[:, OFFSET + 1 : SLOPE] = (np.array(SEASON_PRIOR) / scale[:, None]) ** 2
     fixed = (smooth * prior[:, None, :]) @ smooth.T + _FREE * more[:, :, None] * more[:, None, :]
     fixed[:, np.arange(len(months)), np.arange(len(months))] += 1.0 / np.maximum(events, NO_EVENTS)
-    of_month = 1.0 / np.median(events[events > 0])
-    grid = [Lasting(0.0, 1.0)]
-    grid += [Lasting(level * of_month, length) for level in LEVELS[1:] for length in LENGTHS_MONTHS]
-    return min(grid, key=lambda one: minus_log_likelihood(fixed + one.covariance(months), y))
+    return np.asarray(fixed)
 
 
 def invert_covariance(events: Floats, lasting: Lasting, months: NDArray[np.datetime64]) -> Floats:
@@ -364,6 +397,9 @@ def median_over(values: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
     return np.asarray(np.where(count[..., 0] > 0, pair.mean(axis=-1), np.nan), dtype=np.float32)
 
 
+LEAKAGE = 1.5
+"""The median of n series follows a step of k of them by up to this times k / (n - 1), and the other series step against
+it."""
 MOST_STEPS = 8
 FEWEST_EVENTS = 10
 """Events on either side of a step."""
@@ -397,6 +433,15 @@ class Series:
     values: NDArray[np.float32]
     group: NDArray[np.int64]
     time_unix: Floats
+
+
+@dataclass(frozen=True)
+class _Noise:
+    """What lasts of each mode, the steps that stand out of it, shape (series, month), and -2 ln of the likelihood."""
+
+    lasting: tuple[Lasting, ...]
+    steps: Floats
+    cost: float
 
 
 class SeriesModel:
@@ -471,9 +516,10 @@ class SeriesModel:
         self.fit_terms(self.all)
 
     def _estimate_noise(self) -> None:
-        """Estimate what lasts, from residuals without the best step of each series: a few series may all have one.
+        """Estimate what lasts, from residuals with and without steps, whichever explain the series better.
 
-        A step of one of few moves the medians of the others: at its date they have one, too, and it is no noise.
+        With the best step of each series left out of them, a few series that wander have little noise that lasts, and
+        many steps; with none left out, a step in one of few is noise of all. Each step costs the threshold.
         """
         self._weigh([Lasting(0.0, 1.0)] * len(self.y))
         self.fit_terms(self.all)
@@ -481,17 +527,46 @@ class SeriesModel:
         for some in share_out(self.all):
             left[:, some] = self.y[:, some] - (self.columns(some) @ self.result.theta[:, some, :, None])[..., 0]
         self.whitener = find_whitener(correlate_modes(left, self.events))
+        of_white, _ = self._find_steps()
+        still = self._try_noise(left, np.zeros_like(of_white))
+        options = [still, *(self._try_noise(left, steps) for steps in (still.steps, of_white) if np.any(steps))]
+        self.lasting = min(options, key=lambda one: one.cost).lasting
+        self._weigh(self.lasting)
+
+    def _try_noise(self, left: Floats, steps: Floats) -> _Noise:
+        """Estimate the noise with steps of free size, shape (series, month), in residuals, and find its own steps."""
+        lasting = tuple(
+            estimate_lasting(y, self.events, self.smooth_months, scale, self.months, steps)
+            for y, scale in zip(left, self.scale, strict=True)
+        )
+        self._weigh(lasting)
+        self.fit_terms(self.all)
+        own_steps, gain = self._find_steps()
+        cost = 0.0
+        for some in share_out(self.all):
+            for y, scale, one in zip(left, self.scale, lasting, strict=True):
+                events, none = self.events[some], np.zeros((some.size, len(self.months)))
+                fixed = fixed_covariance(events, self.smooth_months, scale[some], self.months, none)
+                cost += minus_log_likelihood(fixed + one.covariance(self.months), y[some])
+        return _Noise(lasting, own_steps, cost - gain)
+
+    def _find_steps(self) -> tuple[Floats, float]:
+        """The best step of each series, shape (series, month), and by how much they explain more than their price.
+
+        A step of one of few moves the medians of the others: at its date they have one, too, of which counts what may
+        leak, beyond chance.
+        """
         steps, _ = self.scores(self.all)
         score = steps.max(axis=1)
         most = np.array([np.argmax(np.where(self.series.group == g, score, -1.0)) for g in range(len(self.median))])
         of = np.where(score > self.cut, self.all, most[self.series.group])
         best = np.argmax(steps, axis=1)[of]
-        is_step = (np.arange(len(self.months)) >= best[:, None]) & (score[of] > self.cut)[:, None]
-        self.lasting = tuple(
-            estimate_lasting(y, self.events, self.smooth_months, scale, self.months, is_step.astype(float))
-            for y, scale in zip(left, self.scale, strict=True)
-        )
-        self._weigh(self.lasting)
+        is_step = score[of] > self.cut
+        others = np.maximum(np.bincount(self.series.group)[self.series.group] - 1, 1)
+        own, leaks = steps[self.all, best], (LEAKAGE / others) ** 2 * score[of]
+        of_chance = np.minimum(own, leaks) - np.minimum(len(self.scale), leaks)
+        gain = np.where(score > self.cut, own - self.cut, of_chance)[is_step].sum()
+        return ((np.arange(len(self.months)) >= best[:, None]) & is_step[:, None]).astype(float), float(gain)
 
     def _weigh(self, lasting: Sequence[Lasting]) -> None:
         """Weigh the months of every series by the process of each mode."""
@@ -577,6 +652,21 @@ class SeriesModel:
                 found = find_dates(self.series.time_unix, left @ self.whitener.T, size @ self.whitener.T, near)
                 self._set_dates(some, step, found.date)
                 self.errors[:, some, step] = found.sigma, found.earliest, found.latest
+
+    def widen_dates(self) -> None:
+        """Add to the errors of dates that a step in another month, with a size of its own, explains about as much."""
+        begins, chi2 = self.series.time_unix[self.starts], self.own_chi2()[0]
+        is_free = np.isfinite(self.terms.dates) & ~self.terms.is_known
+        for j in np.flatnonzero(np.any(is_free, axis=0)):
+            rows, before, errors = np.flatnonzero(is_free[:, j]), self.terms, self.errors.copy()
+            self.remove(is_free & (np.arange(is_free.shape[1]) == j), np.zeros_like(before.has_slope))
+            self.fit_terms(rows)
+            steps, _ = self.scores(rows)
+            self.restore(before, errors, rows)
+            self.fit_terms(rows)
+            self.errors[:, rows, j] = widen(
+                before.dates[rows, j], errors[:, rows, j], begins, steps - chi2[rows, j, None]
+            )
 
     def _set_dates(self, rows: NDArray[np.int64], step: NDArray[np.int64], dates: Floats) -> None:
         new = self.terms.dates.copy()

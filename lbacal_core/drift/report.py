@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,11 +19,14 @@ from lbacal_core.grids import Floats
 #
 # A cabinet that is repaired, a board of receivers, an antenna with both of its dipoles: their paths step together.
 # Steps of a station whose dates agree within their errors are one change with members; the most significant of them
-# gives it its date and size.
+# gives it its date and size. Both dipoles of an antenna are joined first: a small step, whose date is known to months,
+# agrees with that of many another antenna by chance.
 
 SAME_DATE = 3.0
 """Standard deviations of the difference of two dates within which they are one."""
 DAY_S = 86_400.0
+BY_CHANCE = 10.0
+"""So many times likelier than by chance are dates of two antennas that agree, when they are one: most are not."""
 
 
 @dataclass(frozen=True)
@@ -75,13 +79,19 @@ def list_changes(history: History, followed: Followed) -> list[Change]:
     if followed.stations is not None:
         steps += _steps(followed.stations, [(station, None, dipole) for station, dipole in followed.groups])
     steps.sort(key=lambda step: (-step.significance, step.station, step.date_unix))
+    span_s = float(history.time_unix[-1] - history.time_unix[0])
+    return _join(_join(steps, _is_of_one_antenna), partial(_is_at_one_date, span_s=span_s))
+
+
+def _join(changes: Sequence[Change], is_one: Callable[[Change, Change], bool]) -> list[Change]:
+    """Join each change to the first, more significant one with which it is one."""
     found = list[Change]()
-    for step in steps:
-        at = next((k for k, one in enumerate(found) if _is_same_date(one, step)), None)
+    for change in changes:
+        at = next((k for k, one in enumerate(found) if is_one(one, change)), None)
         if at is None:
-            found.append(step)
+            found.append(change)
         else:
-            found[at] = replace(found[at], members=(*found[at].members, *step.members))
+            found[at] = replace(found[at], members=(*found[at].members, *change.members))
     return found
 
 
@@ -106,11 +116,25 @@ def _steps(found: Found, owners: Sequence[tuple[str, int | None, str]]) -> Itera
         )
 
 
-def _is_same_date(one: Change, other: Change) -> bool:
+def _is_of_one_antenna(one: Change, other: Change) -> bool:
+    return one.members[0].antenna == other.members[0].antenna and _may_be_one(one, other)
+
+
+def _is_at_one_date(one: Change, other: Change, span_s: float) -> bool:
+    """Whether their dates agree far better than those of unrelated changes, which may be anywhere in the span."""
+    error = float(np.hypot(_error_of(one, other), DAY_S))
+    density = np.exp(-0.5 * ((one.date_unix - other.date_unix) / error) ** 2) / (np.sqrt(2.0 * np.pi) * error)
+    return _may_be_one(one, other) and bool(density * span_s >= BY_CHANCE)
+
+
+def _may_be_one(one: Change, other: Change) -> bool:
     if one.station != other.station or one.is_known != other.is_known:
         return False
-    error = float(np.hypot(one.date_sigma_s, other.date_sigma_s))
-    return abs(one.date_unix - other.date_unix) <= SAME_DATE * error + DAY_S
+    return abs(one.date_unix - other.date_unix) <= SAME_DATE * _error_of(one, other) + DAY_S
+
+
+def _error_of(one: Change, other: Change) -> float:
+    return float(np.hypot(one.date_sigma_s, other.date_sigma_s))
 
 
 DIGITS = 7

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from lbacal_core.drift.model import (
+    LEAKAGE,
     MOST_STEPS,
     OFFSET,
     SLOPE,
@@ -41,13 +42,11 @@ MOST_ROUNDS = 40
 SETTLING_ROUNDS = 2
 BETTER = 2.0
 """Chi-square by which a term must explain more than the one whose place it takes."""
-LEAKAGE = 1.5
-"""The median of n series follows a step of k of them by up to this times k / (n - 1), and the other series step against
-it: a round adds nothing with less chi-square, as a share of the group's best, than that has. Once it were in the model,
-medians would be taken without it, and nothing could tell any more who stepped."""
 ALIKE = 0.25
 """Share of the best chi-square of a group from which on series count as those that step."""
 MOST_LEAKAGE = 0.9
+"""A round adds nothing with less chi-square, as a share of the group's best, than what leaks has, nor more than this of
+it. Once it were in the model, medians would be taken without it, and nothing could tell any more who stepped."""
 MOST_EXPLAINED = 0.99
 """Share of the variance of single events that a term explains at most; the logarithm of the rest stays finite."""
 
@@ -269,6 +268,7 @@ class _Search(SeriesModel):
 
     def report(self) -> Found:
         """Report steps and slopes; slopes of all series from a last fit in which each has one."""
+        self.widen_dates()
         steps, _ = self.own_chi2()
         at = slice(STEPS, None)
         size = np.einsum("ksj,ks->sjk", self.result.theta[:, :, at], self.scale)

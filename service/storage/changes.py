@@ -33,8 +33,9 @@ PROPOSED, IN_FORCE, DISMISSED = "proposed", "in_force", "dismissed"
 NOT_REFITTED = "found, not yet refitted"
 SAME_DATE = 3.0
 """Standard deviations of the difference of two dates within which they are one."""
-LARGEST_DATE_ERROR_US = 30 * DAY_US
-"""A change whose date is known worse is told, and cuts no window."""
+LARGEST_DATE_ERROR_US = 90 * DAY_US
+"""A change whose date is known worse is told, and cuts no window. One that is cut some weeks off holds less of both
+sides than one that is not cut."""
 
 
 def is_same_date(one: tuple[Instant, Instant], other: tuple[Instant, Instant]) -> bool:

@@ -103,6 +103,19 @@ def test_steps_at_two_dates_are_two_changes():
     assert sorted(len(change.members) for change in changes) == [1, 1]
 
 
+def test_a_date_known_to_weeks_agrees_with_that_of_another_antenna_by_chance():
+    """A step of 1 % got the date of a cable of another antenna, a fortnight off, with an error of a day."""
+    history = _history(2)
+    for path, year in ((2, 0.9), (3, 0.9), (8, 0.94)):
+        history.ln_c[path, np.flatnonzero(history.time_unix >= START + year * YEAR), 0] += 0.04
+    followed = follow(history)
+    sigma = followed.paths.step_sigma_s.copy()
+    sigma[8] = 25 * DAY
+    changes = list_changes(history, replace(followed, paths=replace(followed.paths, step_sigma_s=sigma)))
+    members = [{(m.antenna, m.dipole) for m in change.members} for change in changes]
+    assert sorted(members, key=len) == [{(4, "X")}, {(1, "X"), (1, "Y")}]
+
+
 def test_a_known_change_says_so_and_has_no_error_of_its_date():
     history = _history(3)
     known = np.full((24, 1), np.inf)
