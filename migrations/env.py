@@ -20,7 +20,11 @@ with context.config.attributes["engine"].begin() as connection:
             connection.execute(text(f"SET LOCAL {limit} = 0"))
         connection.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": LOCK})
     context.configure(connection=connection, target_metadata=metadata, render_as_batch=True, compare_type=True)
-    if context.config.attributes.get("may_make") and context.get_context().get_current_revision() is None:
+    found = context.get_context().get_current_revision()
+    if found is not None and connection.dialect.name == "postgresql":
+        # whoever writes has read it, and is waited for; who comes later reads the new one, and is refused
+        connection.execute(text("LOCK TABLE alembic_version IN ACCESS EXCLUSIVE MODE"))
+    if context.config.attributes.get("may_make") and found is None:
         metadata.create_all(connection, checkfirst=False)
         context.get_context().stamp(context.script, "head")
     context.run_migrations()

@@ -16,6 +16,7 @@ from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 
 from lbacal_core.errors import BadInputError, LbacalError
 from service.errors import UnavailableError
+from service.schema.revisions import require_newest
 from service.storage.alarms import AlarmStore
 from service.storage.changes import ChangeStore
 from service.storage.drift import DriftStore
@@ -36,6 +37,7 @@ from service.storage.versions import BudgetStore, VersionStore
 AWAY = "the database does not answer"
 BUSY = "the database is busy"
 FULL = "the disk of the database is full"
+REVISION = text("SELECT version_num FROM alembic_version")
 READ_ONLY = "the database takes no writes now"
 OTHER_SCHEMA = "the database schema is not the one this version needs: run `lbacal db upgrade`"
 
@@ -186,6 +188,7 @@ class Database:
     def write(self) -> Iterator[Stores]:
         """A transaction that may write; on SQLite it holds the one write lock from its start.
 
+        It writes into the schema of this code alone: an upgrade waits for it to end, and stops those that come after.
         Inside another one of the same use case it is a part of that: both commit at the end of the outer block.
         """
         outer: Stores | None = getattr(self._open, "stores", None)
@@ -194,6 +197,7 @@ class Database:
             return
         try:
             with self._transaction(self.engine) as connection:
+                require_newest(connection.execute(REVISION).scalar())
                 self._open.stores = Stores(connection)
                 try:
                     yield self._open.stores

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import sqlite3
 from contextlib import closing
-from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,8 +16,9 @@ from sqlalchemy import func, inspect, make_url, select, text
 from lbacal.files import written_beside
 from lbacal_core.errors import BadInputError
 from service.errors import ConflictError, UnavailableError
+from service.schema.revisions import known_revisions, require_known, require_newest
 from service.schema.tables import metadata
-from service.storage.database import Database, explaining_failures
+from service.storage.database import REVISION, Database, explaining_failures
 
 if TYPE_CHECKING:
     from alembic.config import Config
@@ -37,9 +37,9 @@ def make_config(database: Database) -> Config:
 def upgrade(database: Database) -> None:
     """Bring the schema to what this code needs."""
     found = find_revision(database)
-    if found == _known()[-1]:
+    if found == known_revisions()[-1]:
         return
-    _require_known(found)
+    require_known(found)
     from alembic import command
 
     config = make_config(database)
@@ -50,12 +50,7 @@ def upgrade(database: Database) -> None:
 
 def require_current(database: Database) -> None:
     """Refuse a schema that is not the one this code needs, and name the cure."""
-    found, (*_, needed) = find_revision(database), _known()
-    if found != needed:
-        _require_known(found)
-        raise UnavailableError(
-            f"the database schema is {found or 'empty'}, {needed} is needed: run `lbacal db upgrade`"
-        )
+    require_newest(find_revision(database))
 
 
 def require_complete(database: Database) -> None:
@@ -78,29 +73,12 @@ def _name_difference(difference: Any) -> str:
     return f"{what.replace('_', ' ')} {'.'.join(dict.fromkeys(map(str, names)))}"
 
 
-def _require_known(revision: str | None) -> None:
-    """Refuse a schema that a newer version made, or one from before the first that was released."""
-    first, newest = _known()[0], _known()[-1]
-    if revision is not None and revision not in _known():
-        what = f"older than the first that was released ({first}): start a new database"
-        if revision > newest:
-            what = f"newer than this version of lbacal knows ({newest}): install the newer one"
-        raise UnavailableError(f"the database schema is {revision}, {what}")
-
-
-@cache
-def _known() -> tuple[str, ...]:
-    """The revisions that this code knows, oldest first: the numbers with which their files begin."""
-    names = (one.name for one in files("migrations").joinpath("versions").iterdir())
-    return tuple(sorted(name.partition("_")[0] for name in names if name.endswith(".py")))
-
-
 def find_revision(database: Database) -> str | None:
     """The revision of the schema; None where there is none."""
     with database.connect() as connection:
         if not inspect(connection).has_table("alembic_version"):
             return None
-        return connection.execute(text("SELECT version_num FROM alembic_version")).scalar()
+        return connection.execute(REVISION).scalar()
 
 
 # A copy of an SQLite database that others may write to meanwhile.

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager, suppress
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -30,12 +31,12 @@ from service.config import Settings
 from service.errors import ConflictError, UnavailableError
 from service.factory import Factory
 from service.scheduler import look_for_due_work
+from service.schema.revisions import known_revisions
 from service.schema.tables import metadata
 from service.storage import database as module
 from service.storage.changes import Change, Evidence
 from service.storage.database import Database
 from service.storage.migration import (
-    _known,
     copy_database,
     copy_sqlite,
     find_revision,
@@ -404,6 +405,55 @@ def test_an_old_schema_is_refused_with_the_cure(factory: Factory, client: TestCl
     assert (answer.status_code, answer.headers["retry-after"]) == (503, "5")
 
 
+LATER_REVISION = """
+from alembic import op
+
+revision, down_revision, branch_labels, depends_on = "9998", "{newest}", None, None
+
+
+def upgrade():
+    op.execute("CREATE TABLE counted AS SELECT count(*) AS spectra FROM spectrum")
+"""
+
+
+def test_an_upgrade_under_load_waits_for_who_writes_and_stops_who_comes_after(factory: Factory, tmp_path: Path) -> None:
+    """A process that nobody had stopped wrote on as if nothing had happened, into tables of which it knew nothing."""
+    scripts = Path(shutil.copytree(str(files("migrations")), tmp_path / "migrations"))
+    (scripts / "versions" / "9998_later.py").write_text(LATER_REVISION.format(newest=known_revisions()[-1]))
+    other = Database(factory.database.url)
+    config = make_config(other)
+    config.set_main_option("script_location", str(scripts))
+    acknowledged, refused, is_writing = [0], list[str](), threading.Event()
+
+    def write() -> None:
+        while not refused:
+            rows = [
+                (f"{acknowledged[0]}-{k}", 1.4e9 + 60.0 * (9 * acknowledged[0] + k), "CS001", 0, "X") for k in range(9)
+            ]
+            try:
+                with factory.database.write() as stores:
+                    stores.spectra.add(flat_spectra(*rows))
+                    time.sleep(0.01)  # the lock is taken while somebody writes
+            except UnavailableError as error:
+                refused.append(str(error))
+            else:
+                acknowledged[0] += 1
+                is_writing.set()
+
+    writer = threading.Thread(target=write, daemon=True)
+    writer.start()
+    assert is_writing.wait(30)
+    command.upgrade(config, "head")
+    writer.join(30)
+    assert len(refused) == 1
+    assert "install the newer one" in refused[0]
+    with other.engine.connect() as connection:
+        counted = connection.exec_driver_sql("SELECT spectra FROM counted").scalar_one()
+        stored = connection.exec_driver_sql("SELECT count(*) FROM spectrum").scalar_one()
+    assert counted == stored == 9 * acknowledged[0]
+    other.close()
+
+
 @pytest.mark.parametrize(("revision", "cure"), [("0020", "start a new database"), ("9999", "install the newer one")])
 def test_a_schema_that_this_version_does_not_know_is_refused(factory: Factory, revision: str, cure: str) -> None:
     with factory.database.engine.begin() as connection:
@@ -417,10 +467,10 @@ def test_files_of_migrations_begin_with_their_revisions_and_make_one_row(tmp_pat
     """Every process reads the newest from their names, without loading Alembic."""
     database = Database(f"sqlite:///{tmp_path / 'empty.sqlite'}")
     scripts = ScriptDirectory.from_config(make_config(database)).walk_revisions()
-    assert list(_known()) == [one.revision for one in scripts][::-1]
+    assert list(known_revisions()) == [one.revision for one in scripts][::-1]
     assert find_revision(database) is None
     upgrade(database)
-    assert find_revision(database) == _known()[-1]
+    assert find_revision(database) == known_revisions()[-1]
     database.close()
 
 
