@@ -33,8 +33,8 @@ variable; one that begins with `LBACAL_` and is not in this list is refused by e
 
 """
 _CAUSES = """# Causes
-Written by `./dev docs` from `lbacal_core/causes/`: do not edit. What `lbacal investigate` looks for: mechanisms that
-may make a simulation wrong, with the unit of their size, the targets that they affect, the axes along which they vary,
+Written by `./dev docs` from `lbacal_core/causes/`: do not edit. Mechanisms that may make a simulation wrong, with
+the unit of their size (*amount*: times its course), the targets that they affect, the axes along which they vary,
 and how other means could confirm them. [How it searches](explanation/what-the-simulation-gets-wrong.md), [how to add
 one](how-to/add-a-cause.md).
 """

@@ -155,7 +155,7 @@ class SkyChange(Cause):
         return [Template()] if self.identifier in conditions.sky_ratio else []
 
     def act(self, terms: ChainTerms, conditions: Conditions, template: Template, amount: Floats) -> ChainTerms:
-        """P_sky times own(with)/own(without).
+        """P_sky recomputed with it.
 
         A source adds a fraction of its flux through D.
         """

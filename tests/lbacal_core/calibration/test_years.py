@@ -314,12 +314,14 @@ def test_two_means_differ_by_the_noise_of_the_members_that_both_have(here, there
         np.ones((1, 2, 2)), *[np.ones((1, 1))] * 5, np.array(["name"]), 100.0, members=other,
     )  # fmt: skip
     (weighed,), share = weigh_by_members([Beside(lines, np.ones(1, dtype=bool))], join_away(own, [other]), events[0])
-    claimed = own.variance_of(own.present) / events[0] / share
-    assert np.var(np.log(of_own)) == pytest.approx(claimed, rel=0.05)
-    claimed += other.variance_of(other.present) / events[1] / weighed.lines.information[0, 0, 0]
-    assert 0.9 * claimed < np.var(np.log(of_own / of_other)) < 1.05 * claimed, (
-        "or a little less, where members are unlike"
-    )
+    own_claimed = own.variance_of(own.present) / events[0] / share
+    assert np.var(np.log(of_own)) == pytest.approx(own_claimed, rel=0.05)
+    claimed = own_claimed + other.variance_of(other.present) / events[1] / weighed.lines.information[0, 0, 0]
+    most = 0.08 if here == "01" else 0.05  # the means of unlike members have errors in common, and less of a difference
+    assert (1.0 - most) * claimed < np.var(np.log(of_own / of_other)) < 1.05 * claimed
+    weights = np.array([1.0 / own_claimed, 1.0 / (claimed - own_claimed)])
+    both = np.average([np.log(of_own), np.log(of_other)], axis=0, weights=weights)
+    assert np.var(both) * weights.sum() < 1.1, "of both together the error is no larger than claimed"
 
 
 def test_a_mean_with_lent_members_is_no_misfit(scene):

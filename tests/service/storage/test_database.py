@@ -6,12 +6,11 @@ import shutil
 import sqlite3
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, contextmanager
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -49,7 +48,7 @@ from service.storage.processes import WORKER, read_database_clock
 from service.storage.versions import Version
 from service.wire.bodies import RefitBody
 from tests.service.conftest import add_spectra, flat_spectra, night, tell_night, work
-from validation.running.postgres import Server, find_binaries, open_databases
+from validation.running.postgres import open_databases
 
 
 @contextmanager
@@ -225,75 +224,6 @@ def test_a_full_disk_is_named(factory: Factory, database_url: str) -> None:
         stores._connection.exec_driver_sql(f"PRAGMA max_page_count = {pages}")
     with pytest.raises(UnavailableError, match="the disk of the database is full"):
         execute(factory.database, "CREATE TABLE filler AS SELECT randomblob(1000000) AS x")
-
-
-@contextmanager
-def small_disk(megabytes: int) -> Iterator[Path]:
-    """A disk of its own, in memory, that anybody may write to."""
-    path = Path(tempfile.mkdtemp(prefix="lbacal-disk-"))
-    path.chmod(0o755)
-    subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={megabytes}m,mode=777", "tmpfs", str(path)], check=True)
-    try:
-        yield path
-    finally:
-        subprocess.run(["umount", "--lazy", str(path)], check=True)
-        path.rmdir()
-
-
-@contextmanager
-def database_on(disk: Path, kind: str) -> Iterator[tuple[str, Callable[[], None]]]:
-    """The address of a database on a disk, and how to start its server again if it ended."""
-    if kind == "sqlite":
-        yield str(disk / "lbacal.sqlite"), lambda: None
-        return
-    binaries = find_binaries()
-    if binaries is None:
-        pytest.skip("needs the programs of a PostgreSQL server")
-    (folder := disk / "server").mkdir()
-    server = Server(folder, binaries)
-    server.make()
-    server.start()
-
-    def restart() -> None:
-        with suppress(subprocess.CalledProcessError):
-            server.stop()
-        server.start()
-
-    try:
-        yield server.url, restart
-    finally:
-        server.stop()
-
-
-def store_until_refused(factory: Factory) -> tuple[int, str]:
-    """How many events were acknowledged, and why no more are taken."""
-    for stored in range(0, 500_000, 50):
-        rows = [(str(k), 1.4e9 + 120.0 * k, "CS001", 0, "X") for k in range(stored, stored + 50)]
-        try:
-            add_spectra(factory, flat_spectra(*rows))
-        except UnavailableError as error:
-            return stored, str(error)
-    raise AssertionError("the disk is larger than that")
-
-
-@pytest.mark.long
-@pytest.mark.skipif(os.getuid() != 0, reason="mounts a disk, which takes root")
-@pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
-def test_what_was_acknowledged_before_a_disk_was_full_is_there_once_it_has_room(kind: str) -> None:
-    with small_disk(200) as disk, database_on(disk, kind) as (url, restart):
-        factory = Factory(Settings(database_url=url))
-        upgrade(factory.database)
-        filler = disk / "filler"
-        filler.write_bytes(bytes(shutil.disk_usage(disk).free - 3_000_000))
-        stored, refused = store_until_refused(factory)
-        assert refused in ("the disk of the database is full", "the database does not answer")
-        assert refused == "the disk of the database is full" or kind == "postgresql", "whose log may be full first"
-        filler.unlink()
-        restart()
-        add_spectra(factory, flat_spectra(("after", 1.3e9, "CS001", 0, "X")))
-        with factory.database.read() as stores:
-            assert stores.spectra.count_events() == stored + 1
-        factory.database.close()
 
 
 def test_a_removed_sqlite_file_takes_no_more_writes(tmp_path: Path, sqlite_template: Path) -> None:
