@@ -26,7 +26,17 @@ from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import DRIFT_VERSION, MODEL_VERSION, hash_content
 from service.storage.alarms import SLOPE, STEP, News
 from service.storage.changes import DRIFT as BY_DRIFT
-from service.storage.changes import LARGEST_DATE_ERROR_US, RAMP, RECORD, SAME_DATE, SEASON, Change, Evidence
+from service.storage.changes import (
+    LARGEST_DATE_ERROR_US,
+    PERSON,
+    RAMP,
+    RECORD,
+    SAME_DATE,
+    SEASON,
+    Change,
+    Evidence,
+    KeptChange,
+)
 from service.storage.database import Database, Stores
 from service.storage.jobs import Part
 from service.storage.sums import DRIFT, Sums
@@ -124,7 +134,7 @@ def settle_changes(stores: Stores, report: Mapping[str, Any], measured: Measured
 
     A path whose C was withdrawn has nothing that drift could be measured against: what was found in it stays. A step
     does not end because an adopted cause takes it up: the cause may be withdrawn. A slow change does: C would follow it
-    twice.
+    twice. A change follows the later events that give it another date or size, unless a person has spoken of it.
     """
     found = [
         (change, max(float(member["significance"]) for member in one["members"]), bool(one["is_known"]))
@@ -150,6 +160,43 @@ def settle_changes(stores: Stores, report: Mapping[str, Any], measured: Measured
             stores.changes.note(change, Evidence(RECORD, "", None, now))
         else:
             stores.changes.end(kept.number, RECORD, now)
+    significances = {change: significance for change, significance, _ in found}
+    for number, change in find_moved(stores.changes.kept(), alike):
+        stores.changes.move(number, change, Evidence(BY_DRIFT, "", significances[change], now))
+
+
+Alike = Mapping[tuple[str | None, str], Sequence[Change]]
+"""Changes by station and kind."""
+
+
+def find_moved(on_record: Sequence[KeptChange], found: Alike) -> Iterator[tuple[int, Change]]:
+    """Find the changes that later events give another date or size, by their numbers, with what these give them.
+
+    Of each that lasts, the nearest found of all its antennas, if no other on record is nearer to that. One of which a
+    person has spoken stays.
+    """
+    lasting = defaultdict[tuple[str | None, str], list[Change]](list)
+    for kept in on_record:
+        if kept.ended is None:
+            lasting[kept.change.station, kept.change.kind].append(kept.change)
+    for kept in on_record:
+        own = kept.change
+        if kept.ended is not None or any(by.source == PERSON and by.ended is None for by in kept.evidence):
+            continue
+        is_whole = [one for one in found.get((own.station, own.kind), ()) if set(own.antennas) <= set(one.antennas)]
+        nearest = _nearest(own, is_whole)
+        if nearest is None or not own.is_away_from(nearest):
+            continue
+        rivals = [
+            one for one in lasting[own.station, own.kind] if not own.paths or set(one.antennas) & set(own.antennas)
+        ]
+        if _nearest(nearest, rivals) == own:
+            yield kept.number, nearest
+
+
+def _nearest(own: Change, others: Iterable[Change]) -> Change | None:
+    """The one nearest in date of those that are the same change."""
+    return min(filter(own.is_same, others), key=lambda one: abs(one.date - own.date), default=None)
 
 
 def read_changes(told: Mapping[str, Any]) -> list[Change]:
