@@ -398,10 +398,10 @@ class ChangeStore(Store):
         return self.get(numbers[0])
 
     def move(self, number: int, found: Change, evidence: Evidence) -> None:
-        """Write that a source gives a change another date and size from now on, instead of what it said before."""
+        """Write that a source gives a change another date, size or dipole from now on, in place of what it said."""
         self.end(number, evidence.source, evidence.made)
         own = update(change).where(change.c.id == number)
-        self._connection.execute(own.values(to_row(found, change, paths=change.c.paths)))
+        self._connection.execute(own.values(to_row(found, change, paths=json.dumps(found.paths))))
         self._add_evidence(number, replace(evidence, **found.estimate))
 
     def _add_evidence(self, number: int, evidence: Evidence) -> None:

@@ -143,9 +143,9 @@ def settle_changes(stores: Stores, report: Mapping[str, Any], measured: Measured
     ]
     for one in report.get("slopes", ()):
         found += [(*of, False) for of in read_slow(one, report["first_unix"])]
-    alike = defaultdict[tuple[str | None, str], list[Change]](list)
-    for one, *_ in found:
-        alike[one.station, one.kind].append(one)
+    alike = defaultdict[tuple[str | None, str], dict[Change, float]](dict)
+    for one, significance, _ in found:
+        alike[one.station, one.kind][one] = significance
     for kept in stores.changes.kept():
         change = kept.change
         is_slow = change.kind in (RAMP, SEASON)
@@ -160,20 +160,19 @@ def settle_changes(stores: Stores, report: Mapping[str, Any], measured: Measured
             stores.changes.note(change, Evidence(RECORD, "", None, now))
         else:
             stores.changes.end(kept.number, RECORD, now)
-    significances = {change: significance for change, significance, _ in found}
-    for number, change in find_moved(stores.changes.kept(), alike):
-        stores.changes.move(number, change, Evidence(BY_DRIFT, "", significances[change], now))
+    for number, change, significance in find_moved(stores.changes.kept(), alike):
+        stores.changes.move(number, change, Evidence(BY_DRIFT, "", significance, now))
 
 
-Alike = Mapping[tuple[str | None, str], Sequence[Change]]
-"""Changes by station and kind."""
+Alike = Mapping[tuple[str | None, str], Mapping[Change, float]]
+"""Changes by station and kind, with their significance."""
 
 
-def find_moved(on_record: Sequence[KeptChange], found: Alike) -> Iterator[tuple[int, Change]]:
-    """Find the changes that later events give another date or size, by their numbers, with what these give them.
+def find_moved(on_record: Sequence[KeptChange], found: Alike) -> Iterator[tuple[int, Change, float]]:
+    """Find the changes that later events give another date or size, or the other dipole, by their numbers.
 
-    Of each that lasts, the nearest found of all its antennas, if no other on record is nearer to that. One of which a
-    person has spoken stays.
+    With what these give them: of each that lasts, the nearest found of all its antennas, if no other on record is
+    nearer to that. One of which a person has spoken stays.
     """
     lasting = defaultdict[tuple[str | None, str], list[Change]](list)
     for kept in on_record:
@@ -183,15 +182,20 @@ def find_moved(on_record: Sequence[KeptChange], found: Alike) -> Iterator[tuple[
         own = kept.change
         if kept.ended is not None or any(by.source == PERSON and by.ended is None for by in kept.evidence):
             continue
-        is_whole = [one for one in found.get((own.station, own.kind), ()) if set(own.antennas) <= set(one.antennas)]
-        nearest = _nearest(own, is_whole)
-        if nearest is None or not own.is_away_from(nearest):
+        of_kind = found.get((own.station, own.kind), {})
+        nearest = _nearest(own, [one for one in of_kind if set(own.antennas) <= set(one.antennas)])
+        if nearest is None:
+            continue
+        more = [
+            path for path in nearest.paths if path[0] in own.antennas and {path, (path[0], None)}.isdisjoint(own.paths)
+        ]
+        if not (more or own.is_away_from(nearest)):
             continue
         rivals = [
             one for one in lasting[own.station, own.kind] if not own.paths or set(one.antennas) & set(own.antennas)
         ]
         if _nearest(nearest, rivals) == own:
-            yield kept.number, nearest
+            yield kept.number, replace(nearest, paths=(*own.paths, *more)), of_kind[nearest]
 
 
 def _nearest(own: Change, others: Iterable[Change]) -> Change | None:

@@ -293,6 +293,19 @@ def test_a_change_follows_later_events_that_give_it_another_date_or_size(watched
         assert (then.change.size, then.change.sigma, then.stands) == (-0.07, 10 * DAY_US, True)
 
 
+def test_a_change_found_in_one_dipole_is_of_both_once_it_is_found_in_both(watched: Factory) -> None:
+    """The other dipole was never taken out of the mean of its station."""
+    one = step_of(0, -0.05, error_days=1, error=0.01)
+    other = {**one, "members": [*one["members"], {**one["members"][0], "dipole": "Y"}]}
+    seen = []
+    for now, told in enumerate((one, other, other, one)):
+        with watched.database.write() as stores:
+            settle_changes(stores, {"changes": [told]}, {("CS002", 2, "X"), ("CS002", 2, "Y")}, now)
+            (kept,) = stores.changes.kept()
+            seen.append((kept.change.dipoles_of(2), len(kept.evidence)))
+    assert seen == [(("X",), 1), (("X", "Y"), 2), (("X", "Y"), 2), (("X", "Y"), 2)]
+
+
 def test_a_change_of_which_a_person_spoke_keeps_its_date_and_size(watched: Factory) -> None:
     entered = Change("CS002", ((2, None),), "step", STEPPED, 0, -0.07, 0.02)
     with watched.database.write() as stores:
