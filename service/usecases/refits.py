@@ -199,6 +199,7 @@ class Refits:
         change = stores.models.last_change(part.request["station"], since, until)
         superseded, kept_changes = _explain_other_model(stores, part), stores.changes.kept(part.request["station"])
         cuts, of_antenna = [cut for one in kept_changes for cut in one.cuts], group_by_antenna(kept_changes)
+        decided = max((one.said.at for one in kept_changes if one.said is not None), default=0)
 
         def object_to(v: Version) -> str | None:
             slow = [one.slow for one in find_slow(v.scope, of_antenna) if one.slow]
@@ -210,7 +211,8 @@ class Refits:
         for v in made if part.is_due else []:
             name = aside.get(v.scope) or standing.get(v.scope)
             is_same = v.id == name
-            one = None if is_same else _confirm(stores, v, versions.get(str(name)), own.get(v.scope), changes[v.scope])
+            answering, told_last = versions.get(str(name)), own.get(v.scope)
+            one = None if is_same else _confirm(stores, v, answering, told_last, changes[v.scope], decided)
             if gated[v.id] is None and one is not None:
                 examined[v.scope] = one
                 versions |= stores.versions.get_many([one.calibration])
@@ -295,21 +297,29 @@ def _is_set_apart(stores: Stores, version: Version, said: Said) -> bool:
 
 
 def _confirm(
-    stores: Stores, new: Version, in_effect: Version | None, said: Told | None, changes: Sequence[Instant]
+    stores: Stores,
+    new: Version,
+    in_effect: Version | None,
+    said: Told | None,
+    changes: Sequence[Instant],
+    decided: Instant,
 ) -> Examined | None:
     """The fit as a confirmation of the version in effect, or of one that answered before; None if it is news.
 
-    The first near enough of those of the same spectra answers: the same fit has the same answer whenever it is made.
-    Else it is the one in effect, or one of before: by a decision that is undone C comes back in several fits, of which
-    the first may still differ.
+    While no spectra came since, what answered before the last decision about a change comes first: by one that is
+    undone C comes back in several fits, of which the first may still differ. Then the first near enough of those of the
+    same spectra answers: the same fit has the same answer whenever it is made. Else it is the one in effect, or one of
+    before.
     """
     promotions = stores.ledger.of_interval(new.scope, *new.window, MOST_RECALLED)
     names = list(dict.fromkeys(str(p.calibration) for p in promotions))
     if new.id in names:
         return None
     then = stores.versions.get_many(names)
-    same = [then[name] for name in reversed(names) if then[name].inputs["spectra"] == new.inputs["spectra"]]
-    one = next((again for version in same if (again := _examine(new, version))), None)
+    same = [name for name in reversed(names) if then[name].inputs["spectra"] == new.inputs["spectra"]]
+    is_of_same = in_effect is not None and in_effect.inputs["spectra"] == new.inputs["spectra"]
+    before = [str(p.calibration) for p in promotions if is_of_same and p.at <= decided]
+    one = next((again for name in (*before, *same) if (again := _examine(new, then[name]))), None)
     if one is not None:
         return one
     one = _examine(new, in_effect)
