@@ -167,7 +167,7 @@ def test_what_was_examined_confirms_the_version_in_effect(after_night: Factory, 
 
 @pytest.mark.parametrize(
     ("spectra", "decided", "answers"),
-    [("later", "between", "before"), ("later", "never", "after"), ("still later", "between", "after")],
+    [("later", "between", "before"), ("later", "never", "after"), ("still later", "between", "before")],
 )
 def test_what_answered_before_a_decision_that_is_undone_answers_again(
     factory: Factory, spectra: str, decided: str, answers: str
