@@ -114,7 +114,7 @@ class Change:
 
     @property
     def estimate(self) -> dict[str, Any]:
-        """Its date and size with their errors, and its shape."""
+        """The date and size with their errors, and the shape."""
         return {name: getattr(self, name) for name in ESTIMATED}
 
     def is_away_from(self, other: Change) -> bool:
