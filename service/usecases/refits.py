@@ -319,7 +319,8 @@ def _confirm(
     then = stores.versions.get_many(names)
     before = [str(p.calibration) for p in promotions if p.at <= decided]
     same = [name for name in reversed(names) if then[name].inputs["spectra"] == new.inputs["spectra"]]
-    one = next((again for name in (*before, *same) if (again := _examine(new, then[name]))), None)
+    ordered = (*(name for name in same if name in before), *before, *same)
+    one = next((again for name in ordered if (again := _examine(new, then[name]))), None)
     if one is not None:
         return one
     one = _examine(new, in_effect)
