@@ -185,10 +185,10 @@ def _search(
     spectra = list(product(places, list_laws(conditions)))
     found = score_sentences(model, [whole], spectra, likely, choices)
     moving = [name for name, place in PLACES.items() if place.moves]
-    found += score_sentences(model, [whole], list(product(moving, list_laws(conditions))), [("always",)], choices)
+    found += score_sentences(model, [whole], list(product(moving, rough_laws(conditions))), [("always",)], choices)
     single = best_of_families(found)
     found = list(single)
-    for one in single[: 2 * KEPT]:
+    for one in single[:KEPT]:
         place, law, course = parts_of(one.template)
         found += score_sentences(model, targets, [(place, law)], [course])
     for one in best_of_families(found)[:KEPT]:
