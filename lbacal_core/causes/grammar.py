@@ -526,13 +526,13 @@ def list_courses(conditions: Conditions) -> list[Form]:
     return [(name, *numbers) for name, kind in COURSES.items() for numbers in kind.grid(conditions)]
 
 
-def estimated_laws(conditions: Conditions) -> list[tuple[Form, Floats, Sequence[int]]]:
+def smooth_along_band(conditions: Conditions) -> list[tuple[Form, Floats, Sequence[int]]]:
     """Laws whose numbers are estimated: how they begin, functions, (function, freq), and how many of them one tries."""
     return [((CURVE,), _polynomials(conditions, 7), (3, 4, 5, 7))]
 
 
-def estimated_courses(conditions: Conditions) -> list[tuple[Form, Floats, Sequence[int]]]:
-    """Courses whose numbers are estimated, as `estimated_laws`: harmonics of clocks."""
+def smooth_in_time(conditions: Conditions) -> list[tuple[Form, Floats, Sequence[int]]]:
+    """Courses whose numbers are estimated, as `smooth_along_band`: harmonics of clocks."""
     can = {SIDEREAL, YEAR, *([SOLAR] if conditions.has_all_hours else [])}
     clocks = [one for one in _clocks(conditions) if one in can]
     return [((SERIES, clock), harmonics(_phase(conditions, clock), 4), (4, 6, 8)) for clock in clocks]

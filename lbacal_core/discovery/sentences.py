@@ -21,8 +21,6 @@ from lbacal_core.causes.grammar import (
     Sentence,
     columns_of,
     course_of,
-    estimated_courses,
-    estimated_laws,
     law_of,
     list_courses,
     list_laws,
@@ -30,6 +28,8 @@ from lbacal_core.causes.grammar import (
     parts_of,
     rough_laws,
     sentence,
+    smooth_along_band,
+    smooth_in_time,
 )
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
 from lbacal_core.discovery.policy import Policy
@@ -223,7 +223,7 @@ def _estimate(model: LinearModel, one: ScoredSentence, length: Lengths, *, of_la
     shown = spectral_signature(SENTENCE, known.terms, conditions, sentence(place, ("flat",), ("always",)))
     in_time = SENTENCE.time_profile(conditions, one.template)
     found = []
-    for form, functions, counts in estimated_laws(conditions) if of_law else estimated_courses(conditions):
+    for form, functions, counts in smooth_along_band(conditions) if of_law else smooth_in_time(conditions):
         if of_law:
             templates = [shown * in_time * own for own in functions]
         else:

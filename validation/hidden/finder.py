@@ -94,6 +94,7 @@ class FittedModel:
     @property
     def _said(self) -> list[tuple[Hypothesis, Finding | None]]:
         """Sentences of what no cause explains; where there is none, those in the place of a finding, with that one."""
+        found: list[tuple[Hypothesis, Finding | None]]
         found = [(one.hypothesis, None) for one in self._station.description.sentences]
         return found or [(one, finding) for finding in self._station.findings for one in finding.sentences]
 
