@@ -16,7 +16,7 @@ WITHIN_1_SIGMA = (15.87, 84.13)
 
 
 def require_same_grid(place: str, frequency_mhz: Floats, expected_mhz: Floats, expected_from: str) -> None:
-    """Refuse channels that differ from those of another input.
+    """Refuse channels that differ by more than 1 Hz from those of another input.
 
     Parameters
     ----------

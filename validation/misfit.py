@@ -182,7 +182,7 @@ def fit_wrong(seed: int) -> Row:
 
 
 def fit_pattern(seed: int) -> Row:
-    """Data of another antenna: what its paths are told, and how far C is off in the channels that are told `ok`."""
+    """Data of another antenna: what its paths are served, and how far C is off in channels flagged `ok`."""
     height = np.random.default_rng([13_06, seed]).uniform(*HEIGHTS_M)
     antennas: dict[str, str | AntennaModel] = {name: name for name in ANTENNAS}
     antennas["short-dipole"] = ShortDipole(height_m=float(height))

@@ -56,7 +56,7 @@ def audit(
     *,
     tell: Callable[[str], None] = lambda _: None,
 ) -> Audit:
-    """Check stations: dead, deaf or outlying paths, exchanged dipoles, cables, clock, arms, place, unit.
+    """Check stations: dead, insensitive or outlying paths, exchanged dipoles, cables, clock, arms, place, unit.
 
     Parameters
     ----------

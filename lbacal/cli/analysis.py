@@ -153,7 +153,7 @@ def audit(
     average: Annotated[float, typer.Option(help="Seconds to average, for data that are no spectra file.")] = 900.0,
     as_json: Json = False,
 ) -> None:
-    """Check a station: dead, deaf, oscillating or outlying paths, exchanged dipoles, cables, clock, arms, place, unit.
+    """Check a station: dead, insensitive or oscillating paths, exchanged dipoles, cables, clock, arms, place, unit.
 
     Example: lbacal audit S.h5 --instrument lofar-superterp --report audit.json --html audit.html
 

@@ -140,9 +140,10 @@ def refit(
 
 
 def jobs(
-    number: Annotated[int | None, typer.Argument(help="One job; without it the newest.")] = None, as_json: Json = False
+    number: Annotated[int | None, typer.Argument(help="One job; without it the newest 20.")] = None,
+    as_json: Json = False,
 ) -> None:
-    """Show a requested job and its progress.
+    """Show a job and its progress, or the newest jobs.
 
     Example: lbacal jobs 12
     """

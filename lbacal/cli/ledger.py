@@ -137,7 +137,7 @@ def print_act(done: dict[str, Any], *, dry_run: bool) -> None:
     for version, status in done.get("left_out", {}).items():
         print(f"{version[:12]} is left out: {status}")
     changes = done["changes"]
-    print(f"changes of what paths are told: {len(changes)}{' (dry run: nothing was written)' if dry_run else ''}")
+    print(f"changes of what paths are served: {len(changes)}{' (dry run: nothing was written)' if dry_run else ''}")
     for one in sorted(changes, key=_size, reverse=True)[:SHOWN]:
         names = [(one[k] or "nothing")[:12] for k in ("before", "after")]
         size = "" if one["max_fraction"] is None else f", C by up to {100 * one['max_fraction']:.2f} %"

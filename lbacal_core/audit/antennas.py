@@ -15,7 +15,7 @@ from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.sky.table import harmonics_at
 
-# Paths that do not receive as the others of their station do: dead, deaf, oscillating, clipped, outlying.
+# Paths that do not receive as the others of their station do: dead, insensitive, oscillating, clipped, outlying.
 #
 # Every path is compared with the median of its station's polarisation, each through its own cable: by its level, by its
 # spectrum, and by how much of the others' change with time it follows. Thresholds are wide of what working antennas do:
@@ -24,7 +24,7 @@ from lbacal_core.sky.table import harmonics_at
 DEAD_LEVEL = -np.log(10.0)
 """A path with less than a tenth of the others' power sends nothing of the sky."""
 DEAF_SHARE, DEAF_LEVEL = 0.6, -0.25
-"""A deaf path follows less than this of the others' spectrum or of their change with time, and lies lower."""
+"""An insensitive path follows less than this of the others' spectrum or of their change with time, and lies lower."""
 PEAK, PEAK_SHARE = np.log(2.0), 1 / 3
 """An oscillating path exceeds its own level by a factor 2 in fewer than a third of its channels, and there by more than
 the antennas of its station differ; or it is loud."""
@@ -137,7 +137,7 @@ def find_ill_paths(station: AuditedStation, comparison: Comparison) -> tuple[lis
 
 _SENTENCES = {
     "dead": "is dead (a tenth of the others' power at most)",
-    "deaf": "is deaf (its receiver works, its antenna does not)",
+    "deaf": "is insensitive (its receiver works, its antenna does not)",
     "oscillating": "oscillates (strong in part of the band)",
     "clipped": "is clipped (loud, and follows the others' change too little)",
     "outlying": "lies outside what the others do",

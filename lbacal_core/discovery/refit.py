@@ -417,7 +417,7 @@ def refit_over_noise(before: FittedModel, new: Hypothesis) -> tuple[FittedModel,
 
 
 def open_noise(model: FittedModel, one: Hypothesis) -> OpenNoise | None:
-    """The noise constants of the paths of a hypothesis; None where all of them are known."""
+    """The noise constants of the paths of a hypothesis; None where all are known to 5 % of the power."""
     constants, covariance = model.baseline.noise_of(one.target.is_member)
     sigma, terms, intercepts = np.sqrt(np.diag(covariance)), model.baseline.terms, model.station.conditions.intercepts
     count, power = len(intercepts.front), terms.power()

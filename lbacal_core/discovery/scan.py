@@ -44,7 +44,13 @@ MOST_FACTORS = 256
 
 @dataclass(frozen=True)
 class SpectralFamily:
-    """Templates of a cause that share their spectral template and differ in their time profile alone."""
+    """Templates of a cause that share their spectral template and differ in their time profile alone.
+
+    Attributes
+    ----------
+    profiles
+        When each of them acts, shape (template, event).
+    """
 
     cause: Cause
     templates: Sequence[Template]

@@ -56,7 +56,7 @@ class BlockSelection:
     dropped
         Number of blocks by reason; a block counts for its first reason.
     pulses
-        Position of every pulse, known or found.
+        Block of every pulse, known or found, counted from the full second in which the trace begins.
     mean, mean_square
         Shape (block,), ADC and ADC^2.
     """

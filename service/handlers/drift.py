@@ -28,7 +28,7 @@ from service.handlers.request import (
 )
 from service.handlers.routes import Order, acts, ordered, page_of, reads
 from service.storage.alarms import ACKNOWLEDGED, OPEN, STATES, Alarm, AlarmsAsked
-from service.storage.changes import KeptChange, concerns
+from service.storage.changes import Change, Evidence, KeptChange, concerns
 from service.usecases.calibrations import select_paths
 from service.usecases.drift import DriftSeries, MonthPoint, Step
 from service.usecases.keys import Caller
@@ -215,16 +215,26 @@ def decide_change(
     return answer(request, content, status=200 if dry_run else 201)
 
 
+def _describe_evidence(one: Evidence) -> dict[str, Any]:
+    return fill_answer(wire.EvidenceAnswer, one, significance_sigma=one.significance, **_describe_estimate(one))
+
+
+def _describe_estimate(of: Change | Evidence) -> dict[str, Any]:
+    """The date and the size."""
+    size = None if of.size is None else {"value": of.size, "sigma": of.size_sigma or 0.0, "unit": "fraction of C"}
+    if of.date is None or of.sigma is None:
+        return {"at": None, "size": size}
+    return {"at": {"value": format_instant(of.date), "sigma_days": of.sigma / DAY_US}, "size": size}
+
+
 def describe_change(kept: KeptChange, use: Factory) -> dict[str, Any]:
     """Describe a change as JSON values of `PathChangeAnswer`."""
     change, said, first = kept.change, kept.said, kept.evidence[0]
     paths = [{"station": change.station, "antenna": antenna, "dipole": dipole} for antenna, dipole in change.paths]
-    of_c = None if change.size is None else {"value": change.size, "sigma": change.size_sigma or 0.0}
     return fill_answer(
         wire.PathChangeAnswer, kept, change, id=kept.number, paths=paths or None, array=change.station is None,
-        at={"value": format_instant(change.date), "sigma_days": change.sigma_days},
-        size=of_c and {**of_c, "unit": "fraction of C"}, shape=change.shape(use.calibrations.instrument.frequency_mhz),
-        evidence=[fill_answer(wire.EvidenceAnswer, one, significance_sigma=one.significance) for one in kept.evidence],
+        **_describe_estimate(change), shape=change.shape(use.calibrations.instrument.frequency_mhz),
+        evidence=[_describe_evidence(one) for one in kept.evidence],
         by=first.source if said is None else said.by,
         reason=f"found by {first.source}" if said is None else said.reason,
         cuts_windows=bool(kept.cuts),

@@ -173,7 +173,7 @@ def draw_drift(series: Sequence[DriftSeries], versions: Sequence[Sequence[Versio
         parts += _draw_months(one, COLOURS[(k + 1) % len(COLOURS)], own, span)
     shown = [part for part in parts if part.kind in (LINE, POINTS)]
     values = [v for part in shown for v in (*part.y, *(part.low if part.low is not None else ()))]
-    # a path that is deaf may widen a band by a factor: what is shown are medians and versions
+    # an insensitive path may widen a band by a factor: what is shown are medians and versions
     low, high = min([0.98, *values]), max([1.02, *values])
     limits = low - 0.08 * (high - low), high + 0.08 * (high - low)
     label = "C / C of the first year"

@@ -392,7 +392,7 @@ change = _table(
     Column("station", Text, comment="null for the array"),
     Column("paths", Text, nullable=False, comment="JSON: antenna and dipole (null: both) of each; empty for all"),
     Column("kind", Text, nullable=False, comment="step, ramp, season or course"),
-    Column("date_us", BigInteger, nullable=False, comment="when it changed, as it was found first"),
+    Column("date_us", BigInteger, nullable=False, comment="when it changed"),
     Column("sigma_us", BigInteger, nullable=False, comment="standard deviation of the date"),
     Column("size", Float, comment="change of C, a fraction"),
     Column("size_sigma", Float),
@@ -411,6 +411,12 @@ change_evidence = _table(
     Column("significance", Float, comment="standard deviations"),
     Column("made_us", BigInteger, nullable=False),
     Column("ended_us", BigInteger, comment="when the source no longer said so; null while it does"),
+    Column("date_us", BigInteger, comment="date of the change from then on; null where it kept the one that it had"),
+    Column("sigma_us", BigInteger),
+    Column("size", Float),
+    Column("size_sigma", Float),
+    Column("tilt", Float),
+    Column("curvature", Float),
 )
 
 change_decision = _table(

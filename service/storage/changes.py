@@ -33,6 +33,8 @@ PROPOSED, IN_FORCE, DISMISSED = "proposed", "in_force", "dismissed"
 NOT_REFITTED = "found, not yet refitted"
 SAME_DATE = 3.0
 """Standard deviations of the difference of two dates within which they are one."""
+MOVED_DATE = 2.0
+"""Standard deviations by which a date moves: each move cuts windows anew."""
 LARGEST_DATE_ERROR_US = 90 * DAY_US
 """A change whose date is known worse is told, and cuts no window. One that is cut some weeks off holds less of both
 sides than one that is not cut."""
@@ -41,6 +43,9 @@ sides than one that is not cut."""
 def is_same_date(one: tuple[Instant, Instant], other: tuple[Instant, Instant]) -> bool:
     """Whether two dates, each with its error, are one: they agree within a day and their errors."""
     return abs(one[0] - other[0]) <= SAME_DATE * math.hypot(one[1], other[1]) + DAY_US
+
+
+ESTIMATED = "date", "sigma", "size", "size_sigma", "tilt", "curvature"
 
 
 @dataclass(frozen=True)
@@ -88,8 +93,7 @@ class Change:
         """Change of C along frequency, a fraction; None where its size is not known."""
         if self.size is None:
             return None
-        modes = math.log1p(self.size), self.tilt or 0.0, self.curvature or 0.0
-        return [float(one) for one in np.expm1(spread_over_band(modes, frequency_mhz))]
+        return [float(one) for one in np.expm1(spread_over_band(self._modes(), frequency_mhz))]
 
     def dipoles_of(self, antenna: int) -> tuple[str, ...] | None:
         """The dipoles of an antenna that changed; None for both."""
@@ -107,6 +111,23 @@ class Change:
             return False
         has_common = bool(set(self.antennas) & set(other.antennas)) or not (self.paths or other.paths)
         return has_common and is_same_date((self.date, self.sigma), (other.date, other.sigma))
+
+    @property
+    def estimate(self) -> dict[str, Any]:
+        """The date and size with their errors, and the shape."""
+        return {name: getattr(self, name) for name in ESTIMATED}
+
+    def is_away_from(self, other: Change) -> bool:
+        """Whether another estimate of it differs: a size by more than its error, a date by a day and two errors."""
+        if abs(self.date - other.date) > max(DAY_US, MOVED_DATE * other.sigma):
+            return True
+        if self.size is None or other.size is None:
+            return other.size is not None
+        reach = other.size_sigma or 0.0
+        return any(abs(one - then) > reach for one, then in zip(self._modes(), other._modes(), strict=True))
+
+    def _modes(self) -> tuple[float, float, float]:
+        return math.log1p(self.size or 0.0), self.tilt or 0.0, self.curvature or 0.0
 
     def _has_size_of(self, other: Change) -> bool:
         reach = SAME_DATE * math.hypot(self.size_sigma or 0.0, other.size_sigma or 0.0)
@@ -161,13 +182,22 @@ class Cut:
 
 @dataclass(frozen=True)
 class Evidence:
-    """A source of a change: its kind, the report that it refers to, and the first and last time at which it held."""
+    """A source of a change: its kind, the report that it refers to, and the first and last time at which it held.
+
+    With the estimate that the change has since then; None where it kept the one that it had.
+    """
 
     source: str
     ref: str
     significance: float | None
     made: Instant
     ended: Instant | None = None
+    date: Instant | None = None
+    sigma: int | None = None
+    size: float | None = None
+    size_sigma: float | None = None
+    tilt: float | None = None
+    curvature: float | None = None
 
 
 @dataclass(frozen=True)
@@ -253,13 +283,14 @@ class KeptChange:
         return SlowChange(one.kind == SEASON, date, late, math.log1p(one.size), one.size_sigma or 0.0, shape)
 
     def seen_at(self, as_of: Instant) -> KeptChange:
-        """The same with the evidence that there was at an instant."""
+        """The same with the evidence and the estimate that there were at an instant."""
         known = [
             replace(one, ended=None if one.ended is None or one.ended > as_of else one.ended)
             for one in self.evidence
             if one.made <= as_of
         ]
-        return replace(self, evidence=tuple(known))
+        said = [{name: getattr(one, name) for name in ESTIMATED} for one in known if one.date is not None]
+        return replace(self, change=replace(self.change, **said[-1]) if said else self.change, evidence=tuple(known))
 
 
 def concerns(kept: KeptChange, antenna: int | None, dipole: str | None) -> bool:
@@ -341,30 +372,40 @@ class ChangeStore(Store):
         decided = select(func.coalesce(func.max(change_decision.c.id), 0)).select_from(change_decision).join(change)
         inside = [change.c.date_us > since, change.c.date_us < until, *equal(change, station=station, kind=STEP)]
         asked = ended.where(change_evidence.c.ended_us.is_not(None), *inside), decided.where(*inside)
-        pair = [int(self._connection.execute(one).scalar_one()) for one in asked]
-        return pair if any(pair) else []
+        pair = self._connection.execute(select(*(one.scalar_subquery() for one in asked))).one()
+        return list(pair) if any(pair) else []
 
     def note(self, found: Change, evidence: Evidence) -> KeptChange:
         """Write what a source says: of a change that is on record, or of a new one.
 
-        It keeps the date and size with which it was found first: later data move these within their errors. Antennas
-        that were not among those of a change that is on record are a change of their own.
+        One that is on record keeps its date and size. Antennas that were not among its own are a change of their own.
         """
         near = [change.c.station == found.station, change.c.kind == found.kind]
         near += [] if found.kind == STEP else [change.c.paths == json.dumps(found.paths)]
         ordered = select(change).where(*near).order_by(change.c.date_us, change.c.id)
-        same = [one for one in self._read(ordered) if one.change.is_same(found)]
+        same = _choose([one for one in self._read(ordered) if one.change.is_same(found)], found.date)
         covered = {antenna for one in same for antenna in one.change.antennas}
         rest = tuple(path for path in found.paths if path[0] not in covered)
-        numbers = [one.number for one in same if not any(_says(by, evidence) for by in one.evidence)]
+        numbers = [one.number for one in same]
+        for one in same:
+            if not any(_says(by, evidence) for by in one.evidence):
+                self._add_evidence(one.number, evidence)
         if rest or not same:
             row = to_row(replace(found, paths=rest), change, paths=json.dumps(rest), made_us=evidence.made)
             made = self._connection.execute(change.insert().values(row).returning(change.c.id))
             numbers.append(int(made.scalar_one()))
-        for number in numbers:
-            row = to_row(evidence, change_evidence, change=number)
-            self._connection.execute(change_evidence.insert().values(row))
-        return self.get((*(one.number for one in same), *numbers)[0]) if numbers else same[0]
+            self._add_evidence(numbers[-1], replace(evidence, **found.estimate))
+        return self.get(numbers[0])
+
+    def move(self, number: int, found: Change, evidence: Evidence) -> None:
+        """Write that a source gives a change another date, size or dipole from now on, in place of what it said."""
+        self.end(number, evidence.source, evidence.made)
+        own = update(change).where(change.c.id == number)
+        self._connection.execute(own.values(to_row(found, change, paths=json.dumps(found.paths))))
+        self._add_evidence(number, replace(evidence, **found.estimate))
+
+    def _add_evidence(self, number: int, evidence: Evidence) -> None:
+        self._connection.execute(change_evidence.insert().values(to_row(evidence, change_evidence, change=number)))
 
     def end(self, number: int, source: str, now: Instant) -> None:
         """Note that a source no longer holds."""
@@ -401,6 +442,16 @@ class ChangeStore(Store):
         for row in self._connection.execute(statement) if numbers else ():
             found.setdefault(row.change, []).append(from_row(kind, row))
         return found
+
+
+def _choose(same: Sequence[KeptChange], date: Instant) -> list[KeptChange]:
+    """The changes that are on record of one that was found: those that last, and of others what these do not hold."""
+    chosen = [one for one in same if one.ended is None]
+    for one in sorted((one for one in same if one.ended is not None), key=lambda one: abs(one.change.date - date)):
+        held = {antenna for other in chosen for antenna in other.change.antennas}
+        if not chosen or set(one.change.antennas) - held:
+            chosen.append(one)
+    return chosen
 
 
 def _says(one: Evidence, other: Evidence) -> bool:

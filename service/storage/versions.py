@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -235,9 +236,8 @@ class Examined:
     made: Instant
 
 
-def _alike(row: Row[Any]) -> tuple[Any, ...]:
-    inputs = {name: value for name, value in json.loads(row.inputs).items() if name not in OF_OTHERS}
-    return row.scope, row.since_us, row.until_us, canonical_json(inputs)
+def _own_inputs(row: Row[Any]) -> dict[str, Any]:
+    return {name: value for name, value in json.loads(row.inputs).items() if name not in OF_OTHERS}
 
 
 class VersionStore(Store):
@@ -295,10 +295,15 @@ class VersionStore(Store):
         edges = [calibration.c[name].in_({getattr(row, name) for row in wanted}) for name in names[1:4]]
         passed = or_(calibration.c.gate.is_(None), calibration.c.id.in_(ids))
         rows = self._connection.execute(select(*columns).where(*edges, passed)).all() if wanted else []
-        first: dict[tuple[Any, ...], str] = {}
+        of_window = defaultdict[tuple[Any, ...], list[Row[Any]]](list)
         for row in sorted(rows, key=lambda row: (row.made_us, row.id)):
-            first.setdefault(_alike(row), row.id)
-        return {row.id: first[_alike(row)] for row in wanted}
+            of_window[row.scope, row.since_us, row.until_us].append(row)
+        first = {}
+        for row in wanted:
+            others = of_window[row.scope, row.since_us, row.until_us]
+            alike = (one.id for one in others if one.id == row.id or _own_inputs(one) == _own_inputs(row))
+            first[row.id] = next(alike)
+        return first
 
     def search(self, scope: Scope | None, status: str | None, cursor: str, limit: int) -> list[Version]:
         """Versions with an id after a cursor, in order of id."""

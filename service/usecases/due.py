@@ -130,7 +130,7 @@ class DueWork:
         """Enqueue the watch over all stations, once their measured events are others and none waits to be measured.
 
         Returns the new job, or nothing. The events may be again what they were: the name of the job holds the report
-        that     it replaces, too.
+        that it replaces, too.
         """
         with self.database.read() as stores:
             inputs, last = self.watch.name_inputs(stores), stores.drift.report_made()

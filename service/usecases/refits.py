@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -19,6 +19,7 @@ from lbacal_core.spectra.spectra import Spectra
 from lbacal_core.spectra.stations import Recorded
 from service.config import Settings
 from service.errors import ConflictError
+from service.storage.changes import KeptChange
 from service.storage.database import Database, Stores
 from service.storage.jobs import Order, Part
 from service.storage.models import ADOPTED, Gain
@@ -128,10 +129,11 @@ class Refits:
             block = self.fits.name_block(stores, wanted) if wanted.model.is_plain else None
             later = None if block is None else self.fits.read_later(stores, block, wanted.window)
             neighbours = self.fits.find_neighbours(stores, wanted)
+            pieces = [] if later is None else read_pieces(later.block.arrays)
+            before = _list_before(stores, pieces, _find_decided(stores.changes.kept(wanted.of.station)))
         if later is None:
             return False
-        pieces = read_pieces(later.block.arrays)
-        found = self.fits.elsewhere(Fits.examine, pieces, later.spectra, neighbours)
+        found = self.fits.elsewhere(Fits.examine, pieces, later.spectra, neighbours, before)
         # of what other years changed the whole window is fitted, as it was at first: same input, same id
         if found is None or (found.rest and later.spectra is None):
             return False
@@ -199,6 +201,7 @@ class Refits:
         change = stores.models.last_change(part.request["station"], since, until)
         superseded, kept_changes = _explain_other_model(stores, part), stores.changes.kept(part.request["station"])
         cuts, of_antenna = [cut for one in kept_changes for cut in one.cuts], group_by_antenna(kept_changes)
+        decided = _find_decided(kept_changes)
 
         def object_to(v: Version) -> str | None:
             slow = [one.slow for one in find_slow(v.scope, of_antenna) if one.slow]
@@ -210,7 +213,8 @@ class Refits:
         for v in made if part.is_due else []:
             name = aside.get(v.scope) or standing.get(v.scope)
             is_same = v.id == name
-            one = None if is_same else _confirm(stores, v, versions.get(str(name)), own.get(v.scope), changes[v.scope])
+            answering, told_last = versions.get(str(name)), own.get(v.scope)
+            one = None if is_same else _confirm(stores, v, answering, told_last, changes[v.scope], decided)
             if gated[v.id] is None and one is not None:
                 examined[v.scope] = one
                 versions |= stores.versions.get_many([one.calibration])
@@ -295,21 +299,27 @@ def _is_set_apart(stores: Stores, version: Version, said: Said) -> bool:
 
 
 def _confirm(
-    stores: Stores, new: Version, in_effect: Version | None, said: Told | None, changes: Sequence[Instant]
+    stores: Stores,
+    new: Version,
+    in_effect: Version | None,
+    said: Told | None,
+    changes: Sequence[Instant],
+    decided: Instant,
 ) -> Examined | None:
     """The fit as a confirmation of the version in effect, or of one that answered before; None if it is news.
 
-    The first near enough of those of the same spectra answers: the same fit has the same answer whenever it is made.
-    Else it is the one in effect, or one of before: by a decision that is undone C comes back in several fits, of which
-    the first may still differ.
+    What answered before the last decision about a change comes first: by one that is undone C comes back in several
+    fits, of which the first may still differ. Then the first near enough of those of the same spectra answers: the same
+    fit has the same answer whenever it is made. Else it is the one in effect, or one of before.
     """
     promotions = stores.ledger.of_interval(new.scope, *new.window, MOST_RECALLED)
     names = list(dict.fromkeys(str(p.calibration) for p in promotions))
     if new.id in names:
         return None
     then = stores.versions.get_many(names)
-    same = [then[name] for name in reversed(names) if then[name].inputs["spectra"] == new.inputs["spectra"]]
-    one = next((again for version in same if (again := _examine(new, version))), None)
+    before = [str(p.calibration) for p in promotions if p.at <= decided]
+    same = [name for name in reversed(names) if then[name].inputs["spectra"] == new.inputs["spectra"]]
+    one = next((again for name in (*before, *same) if (again := _examine(new, then[name]))), None)
     if one is not None:
         return one
     one = _examine(new, in_effect)
@@ -318,6 +328,26 @@ def _confirm(
         return one
     recalled = next((again for name in names if (again := _examine(new, then[name]))), None)
     return min((again for again in (recalled, one) if again is not None), key=lambda again: again.shift, default=None)
+
+
+def _find_decided(changes: Iterable[KeptChange]) -> Instant:
+    """When somebody decided about one of some changes last; 0 where nobody did."""
+    return max((one.said.at for one in changes if one.said is not None), default=0)
+
+
+def _list_before(stores: Stores, pieces: Sequence[KeptPiece], decided: Instant) -> dict[TellKey, list[Told]]:
+    """What scopes were served before the last decision about a change, where something else answers since."""
+    found = {}
+    for of in pieces if decided else ():
+        for told in of.told:
+            promotions = stores.ledger.of_interval(told.scope, of.since, of.until, MOST_RECALLED)
+            names = [str(p.calibration) for p in promotions if p.at <= decided]
+            if names and told.calibration not in names:
+                versions = stores.versions.get_many([*names, told.calibration])
+                now = versions.pop(told.calibration)
+                alike = [one for one in versions.values() if find_shift(one, now) is not None]
+                found[told.scope, of.since, of.until] = [tell(one, (), is_in_effect=False) for one in alike]
+    return found
 
 
 def _withdraw_gaps(stores: Stores, made: Sequence[Version], part: Part) -> Iterator[Promotion]:

@@ -26,7 +26,17 @@ from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import DRIFT_VERSION, MODEL_VERSION, hash_content
 from service.storage.alarms import SLOPE, STEP, News
 from service.storage.changes import DRIFT as BY_DRIFT
-from service.storage.changes import LARGEST_DATE_ERROR_US, RAMP, RECORD, SAME_DATE, SEASON, Change, Evidence
+from service.storage.changes import (
+    LARGEST_DATE_ERROR_US,
+    PERSON,
+    RAMP,
+    RECORD,
+    SAME_DATE,
+    SEASON,
+    Change,
+    Evidence,
+    KeptChange,
+)
 from service.storage.database import Database, Stores
 from service.storage.jobs import Part
 from service.storage.sums import DRIFT, Sums
@@ -124,7 +134,7 @@ def settle_changes(stores: Stores, report: Mapping[str, Any], measured: Measured
 
     A path whose C was withdrawn has nothing that drift could be measured against: what was found in it stays. A step
     does not end because an adopted cause takes it up: the cause may be withdrawn. A slow change does: C would follow it
-    twice.
+    twice. A change follows the later events that give it another date or size, unless a person has spoken of it.
     """
     found = [
         (change, max(float(member["significance"]) for member in one["members"]), bool(one["is_known"]))
@@ -133,9 +143,9 @@ def settle_changes(stores: Stores, report: Mapping[str, Any], measured: Measured
     ]
     for one in report.get("slopes", ()):
         found += [(*of, False) for of in read_slow(one, report["first_unix"])]
-    alike = defaultdict[tuple[str | None, str], list[Change]](list)
-    for one, *_ in found:
-        alike[one.station, one.kind].append(one)
+    alike = defaultdict[tuple[str | None, str], dict[Change, float]](dict)
+    for one, significance, _ in found:
+        alike[one.station, one.kind][one] = significance
     for kept in stores.changes.kept():
         change = kept.change
         is_slow = change.kind in (RAMP, SEASON)
@@ -150,6 +160,47 @@ def settle_changes(stores: Stores, report: Mapping[str, Any], measured: Measured
             stores.changes.note(change, Evidence(RECORD, "", None, now))
         else:
             stores.changes.end(kept.number, RECORD, now)
+    for number, change, significance in find_moved(stores.changes.kept(), alike):
+        stores.changes.move(number, change, Evidence(BY_DRIFT, "", significance, now))
+
+
+Alike = Mapping[tuple[str | None, str], Mapping[Change, float]]
+"""Changes by station and kind, with their significance."""
+
+
+def find_moved(on_record: Sequence[KeptChange], found: Alike) -> Iterator[tuple[int, Change, float]]:
+    """Find the changes that later events give another date or size, or the other dipole, by their numbers.
+
+    With what these give them: of each that lasts, the nearest found of all its antennas, if no other on record is
+    nearer to that. One of which a person has spoken stays.
+    """
+    lasting = defaultdict[tuple[str | None, str], list[Change]](list)
+    for kept in on_record:
+        if kept.ended is None:
+            lasting[kept.change.station, kept.change.kind].append(kept.change)
+    for kept in on_record:
+        own = kept.change
+        if kept.ended is not None or any(by.source == PERSON and by.ended is None for by in kept.evidence):
+            continue
+        of_kind = found.get((own.station, own.kind), {})
+        nearest = _nearest(own, [one for one in of_kind if set(own.antennas) <= set(one.antennas)])
+        if nearest is None:
+            continue
+        more = [
+            path for path in nearest.paths if path[0] in own.antennas and {path, (path[0], None)}.isdisjoint(own.paths)
+        ]
+        if not (more or own.is_away_from(nearest)):
+            continue
+        rivals = [
+            one for one in lasting[own.station, own.kind] if not own.paths or set(one.antennas) & set(own.antennas)
+        ]
+        if _nearest(nearest, rivals) == own:
+            yield kept.number, replace(nearest, paths=(*own.paths, *more)), of_kind[nearest]
+
+
+def _nearest(own: Change, others: Iterable[Change]) -> Change | None:
+    """The one nearest in date of those that are the same change."""
+    return min(filter(own.is_same, others), key=lambda one: abs(one.date - own.date), default=None)
 
 
 def read_changes(told: Mapping[str, Any]) -> list[Change]:

@@ -584,7 +584,9 @@ class EvidenceAnswer(Answer, populate_by_name=True):
     ref: str = Field(description="id of the investigation and number of the finding, or who entered it")
     significance_sigma: float | None
     made_at: Moment
-    ended_at: MomentOrNone = Field(description="when the source no longer said so")
+    ended_at: MomentOrNone = Field(description="when the source no longer said so, or said another date or size")
+    at: DatedAnswer | None = Field(description="date of the change since then; null where it kept the one that it had")
+    size: SizeAnswer | None = Field(description="size since then; null where it kept the one that it had")
 
 
 class PathChangeAnswer(Answer):
@@ -594,7 +596,7 @@ class PathChangeAnswer(Answer):
     paths: list[PathAnswer] | None = Field(description="null for a whole station or the array")
     station: str | None
     array: bool
-    at: DatedAnswer = Field(description="as it was found first")
+    at: DatedAnswer = Field(description="as found first, or moved since by more than its error")
     kind: Literal["step", "ramp", "season", "course"]
     size: SizeAnswer | None = Field(description="of a ramp, in a year; of a season, its amplitude")
     shape: list[float] | None = Field(description="the same along frequency")
@@ -604,7 +606,7 @@ class PathChangeAnswer(Answer):
     reason: str
     refitted: bool = Field(description="false while one version in effect answers on both sides of it")
     cuts_windows: bool = Field(
-        description="whether windows are cut there: a step in force whose date is known to 30 days"
+        description="whether windows are cut there: a step in force whose date is known to 90 days"
     )
     made_at: Moment
     ended_at: MomentOrNone = Field(description="when the last source no longer said so")

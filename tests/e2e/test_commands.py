@@ -204,7 +204,7 @@ def in_effect(service: Any, **params: Any) -> str:
 def test_a_version_is_promoted_frozen_withdrawn_and_put_back(service: Any) -> None:
     name = in_effect(service, at="2014-06-01")
     tried = service.do("promote", name, *YEAR, "--dry-run")
-    assert "changes of what paths are told: 1 (dry run: nothing was written)" in tried
+    assert "changes of what paths are served: 1 (dry run: nothing was written)" in tried
     assert "CS002 antenna 0 Y, 2003-01-01T00:00:00Z to 2004-01-01T00:00:00Z: nothing -> " in tried
     made = service.do("promote", name, *YEAR)
     assert f"CS002 antenna 0 Y has version {name[:12]} from 2003-01-01T00:00:00Z to 2004-01-01T00:00:00Z" in made
@@ -257,7 +257,7 @@ def test_the_commands_of_the_page_close_the_loop(faulty: Any, repository: Path) 
     assert re.search(r"^  #0 .* sigma: In station CS002, .*sidereal", found, re.MULTILINE)
     tried = follow(faulty, dry_run, INVESTIGATION=name)
     assert "would be adopted: In station CS002" in tried
-    assert re.search(r"changes of what paths are told: \d+ \(dry run: nothing was written\)", tried)
+    assert re.search(r"changes of what paths are served: \d+ \(dry run: nothing was written\)", tried)
     before = curves_in_effect(faulty)
     made = follow(faulty, adopt, INVESTIGATION=name)
     (model,) = re.findall(r"`lbacal abandon ([0-9a-f]{12})`", made)

@@ -29,15 +29,15 @@ from tests.service.conftest import add_spectra, bearer, flat_spectra, instant, l
 
 SAID = """
 $ promote PATH --from 2014-01-01 --to open --reason "new cables" --dry-run
-changes of what paths are told: 1 (dry run: nothing was written)
+changes of what paths are served: 1 (dry run: nothing was written)
   CS001 antenna 0 X, 2014-01-01T00:00:00Z to open: nothing -> PATH
 $ promote PATH --from 2014-01-01 --to open --reason "new cables"
 promotion 1: CS001 antenna 0 X has version PATH from 2014-01-01T00:00:00Z to open
-changes of what paths are told: 1
+changes of what paths are served: 1
   CS001 antenna 0 X, 2014-01-01T00:00:00Z to open: nothing -> PATH
 $ promote STATION --reason "new cables"
 promotion 2: CS001 has version STATION from 2014-01-01T00:00:00Z to 2015-01-01T00:00:00Z
-changes of what paths are told: 5
+changes of what paths are served: 5
   CS001 antenna 0 Y, 2014-01-01T00:00:00Z to 2015-01-01T00:00:00Z: nothing -> STATION
   CS001 antenna 1 X, 2014-01-01T00:00:00Z to 2015-01-01T00:00:00Z: nothing -> STATION
   CS001 antenna 1 Y, 2014-01-01T00:00:00Z to 2015-01-01T00:00:00Z: nothing -> STATION
@@ -54,17 +54,17 @@ no change in force bounds its epoch
              60           3.6          0.01      unknown                      ok
              80           4.8          0.01      unknown                      ok
 $ withdraw --station CS001 --antenna 0 --dipole X --from 2014-06-01 --to open --reason "wrong cables" --dry-run
-changes of what paths are told: 2 (dry run: nothing was written)
+changes of what paths are served: 2 (dry run: nothing was written)
   CS001 antenna 0 X, 2015-01-01T00:00:00Z to open: PATH -> nothing
   CS001 antenna 0 X, 2014-06-01T00:00:00Z to 2015-01-01T00:00:00Z: PATH -> STATION, C by up to 8.33 %
 $ withdraw --station CS001 --antenna 0 --dipole X --from 2014-06-01 --to open --reason "wrong cables"
 promotion 3: CS001 antenna 0 X has nothing from 2014-06-01T00:00:00Z to open
-changes of what paths are told: 2
+changes of what paths are served: 2
   CS001 antenna 0 X, 2015-01-01T00:00:00Z to open: PATH -> nothing
   CS001 antenna 0 X, 2014-06-01T00:00:00Z to 2015-01-01T00:00:00Z: PATH -> STATION, C by up to 8.33 %
 $ rollback 3 --reason "they were right"
 promotion 4: CS001 antenna 0 X has version PATH from 2014-06-01T00:00:00Z to open
-changes of what paths are told: 2
+changes of what paths are served: 2
   CS001 antenna 0 X, 2015-01-01T00:00:00Z to open: nothing -> PATH
   CS001 antenna 0 X, 2014-06-01T00:00:00Z to 2015-01-01T00:00:00Z: STATION -> PATH, C by up to 9.09 %
 $ tag
@@ -262,7 +262,7 @@ job 7: drift station CS002 2014-01-01 to 2015-01-01, failed (50%); map""",
             *["promotion 1: CS002 antenna 3 X has nothing from 2014 to open"] * 20,
             "and 2 more promotions",
             "0123456789ab is left out: misfit",
-            "changes of what paths are told: 21 (dry run: nothing was written)",
+            "changes of what paths are served: 21 (dry run: nothing was written)",
             *["  CS002 antenna 3 X, 2014 to open: nothing -> 0123456789ab, C by up to 12.50 %"] * 20,
             "  and 1 more",
         ]),
@@ -271,7 +271,7 @@ job 7: drift station CS002 2014-01-01 to 2015-01-01, failed (50%); map""",
         _print_adoption, ADOPTION,
         """model 0123456789ab would be adopted: a step
 promised on as many events again: log-likelihood -2.0 ± 1.0; so small a finding is not expected to pay
-changes of what paths are told: 0 (dry run: nothing was written)""",
+changes of what paths are served: 0 (dry run: nothing was written)""",
     ),
     (
         print_model, MODEL,

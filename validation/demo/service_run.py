@@ -124,7 +124,7 @@ def describe_served(run: ServedRun) -> str:
     step, planted = run.step, (1.0 + STEP.size) ** -0.5 - 1.0
     path = name_path(step["station"], step["antenna"], step["dipole"])
     return (
-        f"The night found that C of {path} changed by {100 * step['size']:+.2f} ± {100 * step['sigma']:.2f} % on "
+        f"The daily run found that C of {path} changed by {100 * step['size']:+.2f} ± {100 * step['sigma']:.2f} % on "
         f"{step['date']}; planted was {100 * planted:+.2f} % in antenna {ANTENNA} {DIPOLE} on {STEP.date}."
     )
 

@@ -10,16 +10,17 @@ import pytest
 from sqlalchemy import update
 
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.curves.validity import Scope
+from lbacal_core.curves.validity import Promotion, Scope
 from lbacal_core.provenance import MODEL_VERSION
 from lbacal_core.spectra.spectra import Spectra
 from service.factory import Factory
 from service.scheduler import look_for_due_work
 from service.schema.tables import calibration, spectrum
 from service.storage.jobs import Job
-from service.storage.versions import Examined
+from service.storage.versions import Examined, Version
+from service.usecases.refits import _confirm
 from service.wire.bodies import ChangeBody, DecisionBody, PromotionBody
-from tests.service.conftest import add_spectra, get_version, like, night, refit, work
+from tests.service.conftest import add_spectra, get_version, like, new_version, night, refit, work
 
 
 @pytest.fixture
@@ -162,6 +163,29 @@ def test_what_was_examined_confirms_the_version_in_effect(after_night: Factory, 
         version = get_version(after_night, one.calibration)
         assert (version.scope, version.window) == (one.scope, (one.since, one.until))
     assert {one.scope.station for one in found if one} <= {None, "CS002"}
+
+
+@pytest.mark.parametrize(
+    ("spectra", "decided", "answers"),
+    [("later", "between", "before"), ("later", "never", "after"), ("still later", "between", "before")],
+)
+def test_what_answered_before_a_decision_that_is_undone_answers_again(
+    factory: Factory, spectra: str, decided: str, answers: str
+) -> None:
+    """The first fit after it was 0.45 sigma away, since other years still lent other lines; the next confirmed that."""
+
+    def fitted(of: str, sigmas: float, by: str) -> Version:
+        made = new_version(Scope("CS001"), by, 1.0 + sigmas * 0.01 / 4.0)  # sigma over the largest C
+        return replace(made, inputs={"spectra": of, "beside": by})
+
+    before, after, new = fitted("early", 0.0, "1"), fitted("later", 0.45, "2"), fitted(spectra, 0.22, "1")
+    promotions = [Promotion(0, one.scope, *one.window, one.id, 0, "night", "") for one in (before, after)]
+    with factory.database.write() as stores:
+        stores.versions.add([before, after])
+        ((first,), _) = [stores.ledger.append([one], factory.clock) for one in promotions]
+        one = _confirm(stores, new, after, None, (), {"between": first.at, "never": 0}[decided])
+    assert one is not None
+    assert one.calibration == {"before": before, "after": after}[answers].id
 
 
 @pytest.mark.long

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,7 @@ from service.app import make_app
 from service.factory import Factory
 from service.scheduler import look_for_due_work
 from service.storage.alarms import AlarmsAsked
+from service.storage.changes import Change, Evidence
 from service.storage.jobs import Job, Order, Part
 from service.storage.models import ADOPTED, ModelChange
 from service.storage.versions import Version
@@ -259,6 +260,79 @@ def test_later_data_move_a_date_within_its_error_and_no_window(watched: Factory)
             settle_changes(stores, {"changes": changes}, set() if name == "away" else {("CS002", 2, "X")}, 1)
             dates = [] if name in ("none", "known") else [STEPPED + 40 * DAY_US if name == "far" else STEPPED]
             assert [one.date for one in stores.changes.cuts("CS002")] == dates, name
+
+
+def step_of(
+    days: float, size: float, *, error_days: float, error: float, antennas: Sequence[int] = (2,)
+) -> dict[str, Any]:
+    """A step as a report of drift tells it."""
+    members = [{"antenna": one, "dipole": "X", "significance": 9.0, "size": size, "sigma": error} for one in antennas]
+    return {
+        "station": "CS002", "is_known": False, "date_unix": STEPPED / 1e6 + 86_400 * days, "members": members,
+        "date_sigma_days": error_days, "size": size, "sigma": error, "shape": {},
+    }  # fmt: skip
+
+
+def test_a_change_follows_later_events_that_give_it_another_date_or_size(watched: Factory) -> None:
+    """A size found in the first weeks stayed for ever: the mean of the station was 1.7 sigma off."""
+    early, later = step_of(0, -0.07, error_days=10, error=0.02), step_of(5, -0.05, error_days=1, error=0.003)
+    both = [step_of(4, -0.05, error_days=4, error=0.003), step_of(16, -0.03, error_days=4, error=0.003)]
+    seen = []
+    for now, changes in enumerate(
+        ([early], [later], [later], both, both, [step_of(4, -0.055, error_days=4, error=0.01)])
+    ):
+        with watched.database.write() as stores:
+            settle_changes(stores, {"changes": changes}, {("CS002", 2, "X")}, now)
+            seen.append([(round((one.date - STEPPED) / DAY_US), one.power) for one in stores.changes.cuts("CS002")])
+    power = [(1.0 + size) ** -2 for size in (-0.07, -0.05, -0.05, -0.05, -0.05, -0.05)]
+    assert seen == [[(0 if k == 0 else 5, pytest.approx(one))] for k, one in enumerate(power)]
+    with watched.database.read() as stores:
+        (kept,) = stores.changes.kept()
+        assert [(by.made, by.ended, by.size) for by in kept.evidence] == [(0, 1, -0.07), (1, None, -0.05)]
+        (then,) = stores.changes.kept(as_of=0)
+        assert (then.change.size, then.change.sigma, then.stands) == (-0.07, 10 * DAY_US, True)
+
+
+def test_a_change_found_in_one_dipole_is_of_both_once_it_is_found_in_both(watched: Factory) -> None:
+    """The other dipole was never taken out of the mean of its station."""
+    one = step_of(0, -0.05, error_days=1, error=0.01)
+    other = {**one, "members": [*one["members"], {**one["members"][0], "dipole": "Y"}]}
+    seen = []
+    for now, told in enumerate((one, other, other, one)):
+        with watched.database.write() as stores:
+            settle_changes(stores, {"changes": [told]}, {("CS002", 2, "X"), ("CS002", 2, "Y")}, now)
+            (kept,) = stores.changes.kept()
+            seen.append((kept.change.dipoles_of(2), len(kept.evidence)))
+    assert seen == [(("X",), 1), (("X", "Y"), 2), (("X", "Y"), 2), (("X", "Y"), 2)]
+
+
+def test_a_change_of_which_a_person_spoke_keeps_its_date_and_size(watched: Factory) -> None:
+    entered = Change("CS002", ((2, None),), "step", STEPPED, 0, -0.07, 0.02)
+    with watched.database.write() as stores:
+        stores.changes.note(entered, Evidence("person", "ops", None, 0))
+        settle_changes(stores, {"changes": [step_of(0.5, -0.05, error_days=1, error=0.003)]}, {("CS002", 2, "X")}, 1)
+        (kept,) = stores.changes.kept()
+        assert (kept.change, len(kept.evidence)) == (entered, 2)
+
+
+def test_of_antennas_that_changed_together_each_change_follows_and_a_part_moves_none(watched: Factory) -> None:
+    of_both = {"error_days": 1, "error": 0.01, "antennas": (1, 2)}
+    for now, (size, antennas) in enumerate(((-0.05, (1,)), (-0.05, (2,)), (-0.08, (1, 2)), (-0.05, (1, 2)))):
+        told = [step_of(0, size, **{**of_both, "antennas": antennas})]
+        told += [step_of(0, -0.05, **{**of_both, "antennas": (1,)})] if antennas == (2,) else []
+        with watched.database.write() as stores:
+            settle_changes(stores, {"changes": told}, {("CS002", 1, "X"), ("CS002", 2, "X")}, now)
+    with watched.database.write() as stores:
+        kept = stores.changes.kept()
+        assert [(one.change.antennas, one.change.size, len(one.evidence)) for one in kept] == [
+            ([1], -0.05, 3),
+            ([2], -0.05, 3),
+        ]
+        settle_changes(stores, {"changes": [step_of(0, -0.2, **{**of_both, "antennas": (3,)})]}, set(), 9)
+        joint = Change("CS002", ((5, "X"), (6, "X")), "step", STEPPED, 0, -0.07, 0.02)
+        stores.changes.note(joint, Evidence("drift", "", 9.0, 0))
+        settle_changes(stores, {"changes": [step_of(0, -0.2, **{**of_both, "antennas": (5,)})]}, set(), 10)
+        assert joint in [one.change for one in stores.changes.kept()]
 
 
 def test_what_steps_together_by_different_sizes_is_several_changes() -> None:

@@ -22,7 +22,7 @@ def test_the_demo_finds_what_it_planted_and_ends_by_itself(tmp_path: Path) -> No
     for sentence in (
         "In station CS002, the Sun adds power by day",
         "the letters of the dipoles X and Y are exchanged",
-        "The night found that C of CS002 antenna 5 Y changed by",
+        "The daily run found that C of CS002 antenna 5 Y changed by",
         "in effect on 2015-06-15",
         "lbacal investigate var/spectra.h5",
     ):
