@@ -106,6 +106,26 @@ def _edge(away_mhz: Floats, width_mhz: float) -> Floats:
     return np.asarray(1.0 / (1.0 + np.exp(away_mhz / width_mhz)))
 
 
+CURVE, SERIES = "curve", "series"
+"""The law and the course whose numbers are estimated all together, where no other describes the data as well."""
+
+
+def _never(_: Conditions) -> list[tuple[()]]:
+    """No form: a search does not try it, it estimates its numbers."""
+    return []
+
+
+def _polynomials(conditions: Conditions, number: int) -> Floats:
+    """Legendre polynomials in ln nu over the band, shape (polynomial, freq)."""
+    return np.asarray(np.polynomial.legendre.legvander(_along_band(conditions), number - 1).T)
+
+
+def _scaled(functions: Floats, numbers: Sequence[float]) -> Floats:
+    """A sum of functions over its largest value."""
+    values = np.asarray(numbers, dtype=float) @ functions
+    return np.asarray(values / max(float(np.abs(values).max()), 1e-300))
+
+
 EDGE = 0.03
 """Share of the band within which a law ends at an edge: filters of the field fall within some MHz of 50."""
 
@@ -164,6 +184,12 @@ LAWS: dict[str, Kind] = {
         "d ln G_RCU / d nu",
     ),
     "cable": Kind(lambda c: c.cable_log_loss, _once, "as the cable's loss in dB", "ln L_coax"),
+    CURVE: Kind(
+        lambda c, *numbers: _scaled(_polynomials(c, len(numbers)), numbers),
+        _never,
+        "along a curve that is estimated",
+        "",
+    ),
 }
 """Laws along frequency by name."""
 
@@ -181,6 +207,24 @@ def _phase(conditions: Conditions, clock: str) -> Floats:
 
 def _wave(conditions: Conditions, clock: str, number: float, highest: float) -> Floats:
     return np.asarray(np.cos(2.0 * np.pi * number * (_phase(conditions, clock) - highest)))
+
+
+def harmonics(turns: Floats, number: int) -> Floats:
+    """Cosines and sines of the first harmonics of a phase in turns, shape (2 number, event)."""
+    angles = 2.0 * np.pi * np.arange(1, number + 1)[:, None] * turns
+    return np.stack([np.cos(angles), np.sin(angles)], axis=1).reshape(2 * number, -1)
+
+
+HOURS = np.arange(0.0, 1.0, 1 / 240)
+"""Phases over which a series is largest somewhere, turns."""
+
+
+def _series(conditions: Conditions, clock: str, *numbers: float) -> Floats:
+    """Fourier series over its largest value, the numbers those of cos and sin of each harmonic."""
+    number = len(numbers) // 2
+    whole = np.asarray(numbers) @ harmonics(HOURS, number)
+    values = np.asarray(numbers) @ harmonics(_phase(conditions, clock), number)
+    return np.asarray(values / max(float(np.abs(whole).max()), 1e-300))
 
 
 def _near(conditions: Conditions, clock: str, middle: float, width: float) -> Floats:
@@ -247,6 +291,17 @@ def _sky(conditions: Conditions, low_mhz: float, high_mhz: float) -> Floats:
         raise BadInputError("sentence: sky", "a band in which these data have a channel", found)
     power = np.mean([sky[:, inside].mean(axis=1) for sky in conditions.sky_of.values()], axis=0)
     return np.asarray(power / power.mean() - 1.0)
+
+
+def _contrast(conditions: Conditions) -> Floats:
+    """Difference of the simulated power of the sky in the first polarisation and in the others over its mean."""
+    first, *others = (conditions.sky_of[letter].mean(axis=1) for letter in sorted(conditions.sky_of))
+    power = np.mean([first, *others], axis=0)
+    return np.asarray((first - np.mean(others, axis=0)) / power.mean())
+
+
+def _where_two(conditions: Conditions) -> list[tuple[()]]:
+    return [()] if len(conditions.sky_of) > 1 else []
 
 
 def _bands(conditions: Conditions) -> list[tuple[float, float]]:
@@ -316,6 +371,7 @@ COURSES: dict[str, Kind] = {
         "(t - {0}) / yr",
     ),
     "wave": Kind(_wave, _waves, "", "cos 2 pi {1:g} ({0} - {2:.3g})", (0.0, 0.0, 1 / 12)),
+    SERIES: Kind(_series, _never, "", ""),
     "near": Kind(_near, _spells, "", "exp(-({0} - {1:.3g})^2 / 2 {2:.2g}^2)", (0.0, 1 / 12, 0.06)),
     "hours": Kind(
         lambda c, begin, hours: c.in_hours(begin, (begin + hours) % 24.0)[:, 0],
@@ -391,6 +447,12 @@ COURSES: dict[str, Kind] = {
     "sky": Kind(
         _sky, _bands, "with the power of the sky between {0:g} and {1:g} MHz", "P_sky({0:g}-{1:g} MHz) / mean - 1"
     ),
+    "contrast": Kind(
+        _contrast,
+        _where_two,
+        "with the difference between the polarisations in the power of the sky",
+        "(P_sky,1 - P_sky,2) / mean",
+    ),
     "every": Kind(
         lambda c, number, first: (_rank(c) % number == first).astype(float),
         lambda _: [(number, first) for number in range(2, 8) for first in range(number)],
@@ -437,9 +499,10 @@ def axis_of(course: Form) -> str:
     if name in ("column", "over", "under"):
         return str(numbers[0])
     periods = {SIDEREAL: "lst", SOLAR: "utc", WEEK: 7, ROTATION: 27.3, LUNATION: 29.53}
-    by_name = {"working days": 7, "weekend": 7, "late": TEMPERATURE, "wet": RAIN, "always": "lst", "sky": "lst"}
+    by_name = {"working days": 7, "weekend": 7, "late": TEMPERATURE, "wet": RAIN, "always": "lst"}
+    by_name |= dict.fromkeys(("sky", "contrast"), "lst")
     by_name |= dict.fromkeys(("hours", "day", "night", "sun"), "utc")
-    found = periods.get(numbers[0], "date") if name in ("wave", "near") else by_name.get(name, "date")
+    found = periods.get(numbers[0], "date") if name in ("wave", "near", SERIES) else by_name.get(name, "date")
     return found if isinstance(found, str) else f"date, period {found:g} d"
 
 
@@ -463,6 +526,18 @@ def list_courses(conditions: Conditions) -> list[Form]:
     return [(name, *numbers) for name, kind in COURSES.items() for numbers in kind.grid(conditions)]
 
 
+def smooth_along_band(conditions: Conditions) -> list[tuple[Form, Floats, Sequence[int]]]:
+    """Laws whose numbers are estimated: how they begin, functions, (function, freq), and how many of them one tries."""
+    return [((CURVE,), _polynomials(conditions, 7), (3, 4, 5, 7))]
+
+
+def smooth_in_time(conditions: Conditions) -> list[tuple[Form, Floats, Sequence[int]]]:
+    """Courses whose numbers are estimated, as `smooth_along_band`: harmonics of clocks."""
+    can = {SIDEREAL, YEAR, *([SOLAR] if conditions.has_all_hours else [])}
+    clocks = [one for one in _clocks(conditions) if one in can]
+    return [((SERIES, clock), harmonics(_phase(conditions, clock), 4), (4, 6, 8)) for clock in clocks]
+
+
 FINER = (-0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75)
 """Parts of a step of the grid by which a number is moved on a finer one."""
 
@@ -471,11 +546,11 @@ IN_MHZ = ("band", "below", "above")
 """Laws whose numbers are frequencies."""
 
 
-def finer(kinds: Mapping[str, Kind], form: Form, conditions: Conditions) -> list[Form]:
-    """Forms about one that was found, itself the first."""
+def finer(kinds: Mapping[str, Kind], form: Form, conditions: Conditions, share: float = 1.0) -> list[Form]:
+    """Forms about one that was found, itself the first, whose numbers differ by parts of this share of a step."""
     if form[0] == PRODUCT:
         _, one, other = form
-        first, second = finer(kinds, one, conditions), finer(kinds, other, conditions)
+        first, second = (finer(kinds, own, conditions, share) for own in (one, other))
         return [*((PRODUCT, same, other) for same in first), *((PRODUCT, one, same) for same in second[1:])]
     moved: list[Form] = []
     if form[0] in ("step", "between"):
@@ -484,16 +559,19 @@ def finer(kinds: Mapping[str, Kind], form: Form, conditions: Conditions) -> list
     unit = _span(conditions) if form[0] in IN_MHZ else 1.0
     for k, step in enumerate(kinds[form[0]].steps, start=1):
         for part in FINER if step else ():
-            value = form[k] + part * step * unit / (form[2] if form[0] == "wave" else 1.0)
+            value = form[k] + part * share * step * unit / (form[2] if form[0] == "wave" else 1.0)
             moved.append((*form[:k], float(f"{value:.10g}"), *form[k + 1 :]))
     low, high = conditions.frequency_mhz[[0, -1]]
+    if form[0] == "ripple":  # the phase in the middle of the band stays, else one number undoes what another does
+        middle = 0.5 * (low + high)
+        moved = [(*one[:2], float(f"{(one[2] + (one[1] - form[1]) * middle) % 1.0:.10g}")) for one in moved]
     return [form, *(one for one in dict.fromkeys(moved) if one != form and _is_sensible(one, low, high))]
 
 
 def _is_sensible(form: Form, low_mhz: float, high_mhz: float) -> bool:
     if form[0] in ("below", "above"):
         return bool(form[2] > 0 and low_mhz + 2 * form[2] < form[1] < high_mhz - 2 * form[2])
-    positive = {"band": 2, "near": 3, "hours": 2, "ripple": 1, "between": 2}
+    positive = {"band": 2, "near": 3, "hours": 2, "ripple": 1, "between": 2, "late": 1}
     return form[:2] != ("power", 0.0) and (form[0] not in positive or form[positive[form[0]]] > 0)
 
 
@@ -501,10 +579,46 @@ def is_of_dates(course: Sequence[Any]) -> bool:
     """Whether a course is one of dates or of the number of an event, which do not recur, or of the season."""
     if course[0] == PRODUCT:
         return is_of_dates(course[1]) or is_of_dates(course[2])
-    return course[0] in ("step", "between", "ramp", "every") or (course[0] in ("wave", "near") and course[1] == YEAR)
+    return course[0] in ("step", "between", "ramp", "every") or (
+        course[0] in ("wave", "near", SERIES) and course[1] == YEAR
+    )
 
 
-# Places in the chain.
+# Places in the chain. What each does is linear in the change, shape (class or 1, event, freq).
+
+
+Act = Callable[[ChainTerms, Conditions, Floats], ChainTerms]
+RATE_H = 0.05
+"""Step of the difference by which the rate of P_sky along LST is taken, h."""
+
+
+def _scale(*names: str) -> Act:
+    """Multiply terms of the chain by 1 + change."""
+    return lambda terms, _, change: replace(terms, **{name: getattr(terms, name) * (1.0 + change) for name in names})
+
+
+def _add_to_sky(terms: ChainTerms, conditions: Conditions, change: Floats) -> ChainTerms:
+    """Add power in front of the first amplifier, in units of the mean sky power."""
+    return replace(terms, n_lna=terms.n_lna + change * conditions.mean_sky[:, None, :])
+
+
+def _scale_apart(terms: ChainTerms, conditions: Conditions, change: Floats) -> ChainTerms:
+    """Multiply the sky by 1 + change in the first polarisation and by 1 - change in any other."""
+    is_first = np.array(conditions.dipoles) == min(conditions.sky_of)
+    return replace(terms, sky=terms.sky * (1.0 + change * np.where(is_first, 1.0, -1.0)[:, None, None]))
+
+
+def _move_in_time(terms: ChainTerms, conditions: Conditions, change: Floats) -> ChainTerms:
+    """Take the sky of a later sidereal time, by hours to first order."""
+    earlier, later = (conditions.later(terms.sky, np.array([hours])) for hours in (-RATE_H, RATE_H))
+    return replace(terms, sky=terms.sky + change * (later - earlier) / (2.0 * RATE_H))
+
+
+def _follow_power(terms: ChainTerms, _: Conditions, change: Floats) -> ChainTerms:
+    """Change the gain in front of the converter with the excess of the power there over its mean."""
+    total = np.sum((terms.sky + terms.n_lna) * terms.front + terms.receiver_noise, axis=-1, keepdims=True)
+    factor = 1.0 + change * (total / total.mean(axis=1, keepdims=True) - 1.0)
+    return replace(terms, front=terms.front * factor, receiver_noise=terms.receiver_noise * factor)
 
 
 @dataclass(frozen=True)
@@ -513,77 +627,100 @@ class Place:
 
     Attributes
     ----------
-    scales
-        Terms of the chain that are multiplied by 1 + change.
+    act
+        What a change there does to the terms of the chain.
     words, equation
         What happens there, and what it does to eq. full_chain, the change in braces.
     confirm
         How other means could tell it from other places.
-    adds
-        Whether the change is added in front of the first amplifier, in units of the mean sky power.
+    moves
+        Whether it changes from event to event by itself, so that its course says no more than when it acts.
+    needs_both
+        Whether one polarisation alone does not tell it from another place.
     """
 
-    scales: Sequence[str]
+    act: Act
     words: str
     equation: str
     confirm: str
-    adds: bool = False
-
-    def act(self, terms: ChainTerms, conditions: Conditions, change: Floats) -> ChainTerms:
-        """The chain with a relative change here, shape (class or 1, event, freq)."""
-        if self.adds:
-            return replace(terms, n_lna=terms.n_lna + change * conditions.mean_sky[:, None, :])
-        return replace(terms, **{name: getattr(terms, name) * (1.0 + change) for name in self.scales})
+    moves: bool = False
+    needs_both: bool = False
 
 
 PLACES: dict[str, Place] = {
     "sky": Place(
-        ("sky",), "the power of the sky changes", "P_sky -> P_sky (1 + {0})", "compare with a station elsewhere"
+        _scale("sky"), "the power of the sky changes", "P_sky -> P_sky (1 + {0})", "compare with a station elsewhere"
     ),
     "antenna": Place(
-        (),
+        _add_to_sky,
         "power is added in front of the first amplifier (size over the mean sky power)",
         "N_LNA -> N_LNA + mean(P_sky) {0}",
         "put a dummy load in the place of an antenna: noise of the amplifier stays, what comes through the air goes",
-        adds=True,
     ),
     "front": Place(
-        ("front",),
+        _scale("front"),
         "the gain in front of the receiver's noise changes",
         "G_ant A L_coax -> G_ant A L_coax (1 + {0})",
         "feed a tone into the cable of an antenna, and another into its receiver",
     ),
     "receiver": Place(
-        ("receiver_noise",),
+        _scale("receiver_noise"),
         "the noise of the receiver changes",
         "N_RCU -> N_RCU (1 + {0})",
         "terminate the input of a receiver and watch its noise",
     ),
     "behind": Place(
-        ("front", "receiver_noise"),
+        _scale("front", "receiver_noise"),
         "the gain of the receiver changes",
         "G_RCU -> G_RCU (1 + {0})",
         "feed a tone into a receiver and watch it through the same course",
     ),
     "converter": Place(
-        ("adc_noise",),
+        _scale("adc_noise"),
         "the noise of the converter changes",
         "N_ADC -> N_ADC (1 + {0})",
         "switch the receivers off and watch what the converter counts",
     ),
     "record": Place(
-        ("front", "receiver_noise", "adc_noise"),
+        _scale("front", "receiver_noise", "adc_noise"),
         "all of the recorded power changes",
         "P -> P (1 + {0})",
         "look for a change of the scaling in the digital processing",
     ),
+    "polarisation": Place(
+        _scale_apart,
+        "the power of the sky changes by opposite amounts in the polarisations (size of the first)",
+        "P_sky -> P_sky (1 ± {0}), + in the first polarisation",
+        "survey the azimuths of the arms, and follow the cable of each dipole to its receiver",
+        needs_both=True,
+    ),
+    "time": Place(
+        _move_in_time,
+        "the sky is that of a later sidereal time (size in hours)",
+        "P_sky -> P_sky + dP_sky/dLST {0}",
+        "compare the transit of a bright source in interferometric data with its right ascension",
+        moves=True,
+    ),
+    "level": Place(
+        _follow_power,
+        "the gain of the receiver changes with the total power at the converter (size where that is twice its mean)",
+        "G_RCU -> G_RCU (1 + {0} (power at the converter / its mean - 1))",
+        "insert an attenuator and look whether the ratio of strong to weak sky changes",
+        moves=True,
+    ),
 }
-"""Places in the chain by name, from the sky to the record."""
+"""Places in the chain by name, from the sky to the record; then those that act by polarisation, time, and power."""
 
 
 @dataclass(frozen=True)
 class Sentence(Cause):
-    """A place, a law and a course, as the parameters of its template; its size is a fraction where both are 1."""
+    """A place, a law and a course, as the parameters of its template; its size is a fraction where both are 1.
+
+    Attributes
+    ----------
+    share_of_step
+        Share of a step of the grid about which finer templates lie.
+    """
 
     identifier: str = "sentence"
     unit: str = "fraction"
@@ -592,6 +729,7 @@ class Sentence(Cause):
     scopes: Sequence[str] = SCOPES
     sizes: SizeRange = SizeRange(-1.0, 10.0)
     spectral_parameters: Sequence[str] = ("place", "law")
+    share_of_step: float = 1.0
 
     def templates(self, conditions: Conditions) -> list[Template]:  # noqa: ARG002
         """None by itself: a scan of the catalogue does not try it."""
@@ -621,8 +759,10 @@ class Sentence(Cause):
     def finer_templates(self, conditions: Conditions, template: Template) -> list[Template]:
         """Other numbers of its law, and of its course."""
         place, law, course = parts_of(template)
-        laws = [sentence(place, one, course) for one in finer(LAWS, law, conditions)]
-        return laws + [sentence(place, law, one) for one in finer(COURSES, course, conditions)[1:]]
+        laws, courses = (
+            finer(kinds, form, conditions, self.share_of_step) for kinds, form in ((LAWS, law), (COURSES, course))
+        )
+        return [sentence(place, one, course) for one in laws] + [sentence(place, law, one) for one in courses[1:]]
 
     def say(self, template: Template) -> str:
         """The sentence itself."""
@@ -689,6 +829,8 @@ def _check(kinds: Mapping[str, Kind], form: Form) -> None:
     signature(kinds[name].values).bind(None, *numbers)
     if name in ("step", "between", "ramp"):
         _unix(numbers[0])
+    if (name == SERIES and len(numbers) % 2 != 1) or (name in (SERIES, CURVE) and not any(numbers[1:])):
+        raise ValueError(numbers)
     if name == "wet" and numbers[0] not in ("flag", "saturating", "linear"):
         raise ValueError(numbers[0])
 
@@ -707,6 +849,8 @@ def opposite(template: Template) -> Template | None:
     place, law, course = parts_of(template)
     if course[0] in COMPLEMENTS:
         return sentence(place, law, (COMPLEMENTS[course[0]], *course[1:]))
+    if course[0] == SERIES:
+        return sentence(place, law, (*course[:2], *(-one for one in course[2:])))
     if course[0] != "wave":
         return None
     _, clock, number, highest = course
@@ -734,6 +878,11 @@ def _say(kinds: Mapping[str, Kind], form: Form) -> str:
         clock, number, highest = numbers
         several = "a wave" if number == 1 else f"{number:g} waves"
         return f"in {several} a {_CALLED[clock]}, highest at {_time_of(clock, highest % (1.0 / number))}"
+    if name == SERIES:
+        clock, *of_harmonics = numbers
+        highest = HOURS[np.argmax(np.asarray(of_harmonics) @ harmonics(HOURS, len(of_harmonics) // 2))]
+        called = f"{len(of_harmonics) // 2} harmonics a {_CALLED[clock]}"
+        return f"in a course that is estimated, {called}, highest at {_time_of(clock, float(highest))}"
     if name == "near":
         clock, middle, width = numbers
         within = width * (SIDEREAL_DAY_S / DAY_S if clock == SIDEREAL else PERIODS_D[clock])
@@ -758,4 +907,14 @@ def _time_of(clock: str, turns: float) -> str:
 def _write(kinds: Mapping[str, Kind], form: Form) -> str:
     if form[0] == PRODUCT:
         return f"{_write(kinds, form[1])} {_write(kinds, form[2])}"
+    if form[0] == CURVE:
+        return f"({_sum_of([f'P{k}(ln nu)' for k in range(len(form) - 1)], form[1:])})"
+    if form[0] == SERIES:
+        waves = [f"{kind} 2 pi {k + 1} {form[1]}" for k in range(len(form) // 2 - 1) for kind in ("cos", "sin")]
+        return f"({_sum_of(waves, form[2:])})"
     return kinds[form[0]].equation.format(*form[1:])
+
+
+def _sum_of(functions: Sequence[str], numbers: Sequence[float]) -> str:
+    """A sum of functions with their numbers, relative to the largest value of the sum."""
+    return " ".join(f"{one:+.2g} {function}" for one, function in zip(numbers, functions, strict=True))

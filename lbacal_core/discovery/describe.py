@@ -37,14 +37,19 @@ from lbacal_core.discovery.sentences import (
     SENTENCE,
     ScoredSentence,
     best_of_families,
+    estimate_sentence,
+    likeliest_sentences,
     refine_sentence,
     score_gated,
     score_sentences,
 )
 from lbacal_core.grids import Floats
 
-LIKELY, KEPT, FITTED = 12, 6, 4
-"""Courses that are tried with all laws, sentences from which products grow, and sentences fitted with the chain."""
+LIKELY, KEPT, FITTED, ESTIMATED = 12, 6, 4, 3
+"""Courses that are tried with all laws, sentences from which products grow, sentences fitted with the chain, and places
+for which a law and a course are estimated."""
+POINTED_BY: Sequence[str] = ("sky", "polarisation", "receiver", "converter")
+"""Places whose sentences choose the target for which all are tried."""
 RIVAL = 3.0
 """ln of the odds below which two sentences are rivals: 1 to 20."""
 FITTED_WITHIN = 10.0
@@ -127,13 +132,24 @@ class Description:
 
 
 def describe_structure(
-    model: FittedModel, structure: ResidualStructure, targets: Sequence[Target], policy: Policy, seed: int = 0
+    model: FittedModel,
+    structure: ResidualStructure,
+    targets: Sequence[Target],
+    policy: Policy,
+    seed: int = 0,
+    also: Target | None = None,
 ) -> Description:
-    """Describe the structure which a model leaves; `Description()` where no sentence does better than chance."""
-    shown = _targets_of(structure, targets)
-    if not shown:
+    """Describe the structure which a model leaves; `Description()` where no sentence does better than chance.
+
+    Sentences are tried where the structure is seen and, where they say more of that, where something was significant
+    (`also`).
+    """
+    seen = [one for one in targets if one.label == structure.target]
+    seen += [one for one in targets if one.scope == "antenna" and seen and np.all(one.is_member >= seen[0].is_member)]
+    seen += [also] if also is not None and all(one.label != also.label for one in seen) else []
+    if not seen:
         return Description()
-    likely = _search(model.linear, shown, policy)
+    likely = _search(model.linear, seen, targets, policy)
     fitted = [_fit(model, one) for one in likely if one.gain > likely[0].gain - 2.0 * FITTED_WITHIN]
     order = sorted((one for one in fitted if one is not None), key=lambda one: -one[0].log_odds)
     said = [one for one, _ in order if one.log_odds > CERTAIN and one.held_out_gain > 0.0]
@@ -150,29 +166,46 @@ def describe_structure(
     )
 
 
-def _targets_of(structure: ResidualStructure, targets: Sequence[Target]) -> list[Target]:
-    """Targets that show the structure, the one that shows it as it was found last."""
-    if structure.target == STATION:
-        return [one for one in targets if one.is_wide]
-    path = [one for one in targets if one.label == structure.target]
-    return [one for one in targets if not one.is_wide and path and np.all(one.is_member >= path[0].is_member)][::-1]
-
-
 # The search: all courses with a few laws, all laws with the best courses, products of these, and finer numbers.
 
 
-def _search(model: LinearModel, shown: Sequence[Target], policy: Policy) -> list[ScoredSentence]:
-    """The likeliest sentences of different families."""
-    conditions, whole = model.station.conditions, shown[-1:]
-    courses = list_courses(conditions)
-    rough = score_sentences(model, whole, list(product(PLACES, rough_laws(conditions))), courses)
+def _search(
+    model: LinearModel, seen: Sequence[Target], targets: Sequence[Target], policy: Policy
+) -> list[ScoredSentence]:
+    """The likeliest sentences of different families, for the target that shows them best."""
+    conditions, choices = model.station.conditions, len(targets)
+    noticed = [likeliest_sentences(model, one, choices, POINTED_BY)[0] for one in seen] if len(seen) > 1 else []
+    whole = max(noticed, key=lambda one: one.gain).target if noticed else seen[0]
+    places = [
+        name for name, place in PLACES.items() if not place.moves and (whole.scope != "path" or not place.needs_both)
+    ]
+    spectra = list(product(places, rough_laws(conditions)))
+    rough = score_sentences(model, [whole], spectra, list_courses(conditions), choices)
     likely = list(dict.fromkeys(parts_of(one.template)[2] for one in best_of_families(rough)))[:LIKELY]
-    single = best_of_families(score_sentences(model, whole, list(product(PLACES, list_laws(conditions))), likely))
+    spectra = list(product(places, list_laws(conditions)))
+    found = score_sentences(model, [whole], spectra, likely, choices)
+    moving = [name for name, place in PLACES.items() if place.moves]
+    found += score_sentences(model, [whole], list(product(moving, rough_laws(conditions))), [("always",)], choices)
+    single = best_of_families(found)
     found = list(single)
     for one in single[:KEPT]:
-        found += score_gated(model, shown, one)
-    refined = [refine_sentence(model, one, policy) for one in best_of_families(found)[: 2 * KEPT]]
-    return best_of_families(refined)[:FITTED]
+        place, law, course = parts_of(one.template)
+        found += score_sentences(model, targets, [(place, law)], [course])
+    for one in best_of_families(found)[:KEPT]:
+        found += score_gated(model, [one.target], one, choices)
+    refined = best_of_families([refine_sentence(model, one, policy) for one in best_of_families(found)[: 2 * KEPT]])
+    estimated = [
+        more for one in _best_of_places(refined)[:ESTIMATED] for more in estimate_sentence(model, one, choices)
+    ]
+    return best_of_families([*refined, *estimated])[:FITTED]
+
+
+def _best_of_places(sentences: Sequence[ScoredSentence]) -> list[ScoredSentence]:
+    """The likeliest sentence for each target and place, the likeliest first."""
+    best: dict[tuple[str, str], ScoredSentence] = {}
+    for one in sentences:
+        best.setdefault((one.target.label, parts_of(one.template)[0]), one)
+    return list(best.values())
 
 
 def _fit(before: FittedModel, one: ScoredSentence) -> tuple[Described, FittedModel] | None:

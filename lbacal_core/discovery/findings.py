@@ -51,12 +51,15 @@ class Candidate:
         has by chance.
     rivals
         What else was fitted in its place, and the likeliest sentence by its score.
+    sentences
+        Sentences beside which the cause is not likelier by far.
     """
 
     score: Score
     model: FittedModel
     gain: float
     rivals: Sequence[Rival] = ()
+    sentences: Sequence[Hypothesis] = ()
 
 
 @dataclass(frozen=True)
@@ -92,6 +95,8 @@ class StationSearch:
         Why the search ended, where a cause was significant once more.
     impossible
         A score that chance does not explain, where no cause describes it with a size that it can have.
+    significant
+        Where the last significant score of a cause was.
     hidden
         Causes that the differences between models hide, known with the first model.
     adopted
@@ -117,6 +122,7 @@ class StationSearch:
         self.again: SameAgain | None = None
         self.hidden: list[HiddenCause] | None = None
         self.impossible: Score | None = None
+        self.significant: Target | None = None
         self.adopted = 0
 
     def propose(self, before: FittedModel) -> list[Candidate]:
@@ -128,23 +134,29 @@ class StationSearch:
         scores = scan(before.linear, [one for one in self.catalogue if one not in hidden], self.targets, self.seed)
         self.first_scores = self.first_scores or scores
         significant = [score for score in scores if score.p_value < self.alpha]
-        sentence = self._score_sentences(before, significant)
-        said = self._say(before, sentence, significant)
+        sentences = self._score_sentences(before, significant)
+        said = self._say(before, sentences[0], significant)
         named = self._name(before, significant, scores)
         if said is None or (named and said.gain < named[0].gain + 2.0 * self.policy.likelier):
-            return _compare(named, [sentence])
+            beyond = 2.0 * self.policy.likelier
+            beside = [
+                replace(one, sentences=[other.hypothesis for other in sentences if one.gain - other.gain < beyond])
+                for one in named
+            ]
+            return _compare(beside, sentences[:1])
         self.again, self.impossible = None, None
         return _compare([said, *named], [])
 
-    def _score_sentences(self, before: FittedModel, significant: Sequence[Score]) -> ScoredSentence:
-        """The likeliest sentence, for the station or where the best cause acts, by its score."""
+    def _score_sentences(self, before: FittedModel, significant: Sequence[Score]) -> list[ScoredSentence]:
+        """The likeliest sentences, for the station or where the best cause acts, by its score."""
         linear, whole = before.linear, self.targets[-1]
         best = max(significant, key=_gain_beyond_chance, default=None)
+        self.significant = self.significant if best is None else best.target
         targets = [whole] if best is None or best.target.scope == STATION else [whole, best.target]
         likely = [one for target in targets for one in likeliest_sentences(linear, target, self._choices(target))]
         if best is not None:
             likely = [refine_sentence(linear, one, self.policy) for one in likely]
-        return max(likely, key=lambda one: one.gain)
+        return sorted(likely, key=lambda one: -one.gain)
 
     def _say(self, before: FittedModel, one: ScoredSentence, significant: Sequence[Score]) -> Candidate | None:
         """The model with a sentence, where that is likelier than every cause by their scores."""
@@ -339,6 +351,8 @@ class Finding:
         Its size averaged over the noise constants that the fit leaves open; None where the data tell them apart.
     rivals
         What was fitted in its place when it was named.
+    sentences
+        Sentences in its place, beside which the cause is not likelier by far.
     """
 
     hypothesis: Hypothesis
@@ -351,6 +365,7 @@ class Finding:
     calibration_change: Floats
     over_noise: AveragedSize | None = None
     rivals: Sequence[Rival] = ()
+    sentences: Sequence[Hypothesis] = ()
 
     @property
     def size(self) -> tuple[float, float]:
@@ -423,6 +438,7 @@ def _finding(without: FittedModel, last: FittedModel, number: int, named: Candid
         calibration_change=change_of_c(without, last, hypothesis.target),
         over_noise=average_size(last, number),
         rivals=named.rivals,
+        sentences=named.sentences,
     )
 
 

@@ -15,12 +15,13 @@ from lbacal_core.audit.record import RecordError, put_right
 from lbacal_core.calibration.chain_form import FORM_OF_CHAIN, compare_forms
 from lbacal_core.causes.axes import describe_term
 from lbacal_core.causes.cause import Description as CauseTexts
+from lbacal_core.causes.cause import Template
 from lbacal_core.causes.grammar import PLACES, as_equation, in_words, write_instant
 from lbacal_core.discovery.adopted import describe_size, fit_adopted
 from lbacal_core.discovery.antennas import AntennaScore
 from lbacal_core.discovery.describe import Described, Description
 from lbacal_core.discovery.findings import Finding, change_of_c
-from lbacal_core.discovery.hypothesis import Target, sigma_of
+from lbacal_core.discovery.hypothesis import Hypothesis, Target, sigma_of
 from lbacal_core.discovery.pictures import (
     picture_antenna,
     picture_finding,
@@ -178,7 +179,8 @@ def _finding(finding: Finding, report: StationReport) -> dict[str, Any]:
         gain=tell_gain(finding.chi2_before, finding.chi2_after, finding.dof, finding.held_out_gain, score.events),
         change=finding.calibration_change,
         sentence=_sentence(report, one.target, cause, finding.size, one.template.parameters)
-        + (f" {OPEN_NOISE[0].upper()}{OPEN_NOISE[1:]}." if finding.over_noise else ""),
+        + (f" {OPEN_NOISE[0].upper()}{OPEN_NOISE[1:]}." if finding.over_noise else "")
+        + _hardly_told_from([one.template for one in finding.sentences]),
         evidence={
             "score_sigma": float(score.z),
             "trials": float(score.trials),
@@ -189,6 +191,7 @@ def _finding(finding: Finding, report: StationReport) -> dict[str, Any]:
             "correlations": dict(finding.indistinguishable),
             "note": BY_RATIO if cause.acts_by_ratio else "",
             "rivals": [rival.as_dict() for rival in finding.rivals],
+            "sentences": [_tell_sentence(one, report) for one in finding.sentences],
             **_of_noise(finding),
             "picture": picture_finding(report, finding),
         },
@@ -405,8 +408,7 @@ def _said(description: Description, report: StationReport) -> dict[str, Any]:
     places = list(dict.fromkeys(one["parameters"]["place"] for one in sentences))
     words = sentences[0]["sentence"]
     if len(sentences) > 1:
-        others = "; ".join(f"{in_words(one.hypothesis.template)}" for one in description.sentences[1:])
-        words += f" The data hardly tell this from: {others}."
+        words += _hardly_told_from([one.hypothesis.template for one in description.sentences[1:]])
         shared = [
             part
             for part in ("place", "law", "course")
@@ -431,11 +433,8 @@ def _sentence_of(one: Described, report: StationReport, first: Described) -> dic
     """A sentence with its equation, size and odds; as a cause it is adopted as any other."""
     hypothesis, cause = one.hypothesis, one.hypothesis.cause
     size, place = hypothesis.size, hypothesis.template.parameters["place"]
-    whom = f"station {report.station.name}" + (
-        "" if hypothesis.target.scope == "station" else f", {hypothesis.target.label}"
-    )
     return {
-        "sentence": f"In {whom}, {in_words(hypothesis.template)}: {size:.3g} ± {hypothesis.uncertainty:.2g}.",
+        "sentence": _tell_sentence(hypothesis, report),
         "equation": as_equation(hypothesis.template),
         "cause": cause.identifier,
         "parameters": plain_parameters(hypothesis.template.parameters),
@@ -447,6 +446,17 @@ def _sentence_of(one: Described, report: StationReport, first: Described) -> dic
         "confirm": PLACES[place].confirm,
         "picture": picture_hypothesis(report, hypothesis),
     }
+
+
+def _hardly_told_from(others: Sequence[Template]) -> str:
+    """Sentences that are nearly as likely; empty where there is none."""
+    return f" The data hardly tell this from: {'; '.join(in_words(one) for one in others)}." if others else ""
+
+
+def _tell_sentence(one: Hypothesis, report: StationReport) -> str:
+    """A sentence with whom it concerns and with its size."""
+    whom = f"station {report.station.name}" + ("" if one.target.scope == "station" else f", {one.target.label}")
+    return f"In {whom}, {in_words(one.template)}: {one.size:.3g} ± {one.uncertainty:.2g}."
 
 
 def _place(structure: ResidualStructure, station: str) -> str:

@@ -445,15 +445,18 @@ def score_in_path(
 ) -> list[tuple[Sequence[SpectralFamily], Floats, Floats]]:
     """As `score_families` for one path, by its deviation from the others alone: many times as quick."""
     c = int(model.station.class_of[path])
-    member = np.flatnonzero(model.members[c] == path)
-    whole = model.paths[c]
-    view = replace(whole, weight=whole.weight[member], residual=whole.residual[member])
+    view = _of_members(model.paths[c], model.members[c] == path)
     found: list[tuple[Sequence[SpectralFamily], Floats, Floats]] = []
     for batch in batch_families(model.station.conditions, families, model.station.power[0].size):
         spectra = FamilySpectra.of(model, batch)
         templates = spectra.in_view(view, spectra.values[:, c : c + 1], *ALONE)
         found.append((batch, *_score_alone(view, templates, batch[0].profiles)))
     return found
+
+
+def _of_members(view: View, is_kept: NDArray[np.bool_]) -> View:
+    """A view of some of its members alone."""
+    return replace(view, weight=view.weight[is_kept], residual=view.residual[is_kept])
 
 
 class _Scorer:
@@ -469,6 +472,13 @@ class _Scorer:
         )
         lost = members * (counts * self.share**2 / np.maximum(members.sum(axis=2), 1))[..., None]
         self.lost_of_path = np.asarray(lost.sum(axis=1))
+        # Paths that no target shows cost as much as those that one does.
+        is_shown = np.any((self.share_of_path != 0) | (self.lost_of_path != 0), axis=0)
+        self.shown = [members[is_shown[members]] for members in model.members]
+        self.views = [
+            view if is_shown[members].all() else _of_members(view, is_shown[members])
+            for view, members in zip(model.paths, model.members, strict=True)
+        ]
 
     def score(self, batch: Sequence[SpectralFamily]) -> tuple[Floats, Floats]:
         """Score and information, shape (family, target, profile); 0 where the cause cannot affect the target."""
@@ -522,15 +532,15 @@ class _Scorer:
 
     def _in_paths(self, profiles: Floats, spectra: FamilySpectra) -> tuple[Floats, Floats]:
         """Score and information in the deviation of every path, shape (family, path, profile)."""
-        found = []
-        for c, view in enumerate(self.model.paths):
+        families = len(spectra.values) if spectra.factors is None else len(spectra.factors)
+        both = np.zeros((2, families, len(self.model.station.antenna), len(profiles)))
+        for c, (view, members) in enumerate(zip(self.views, self.shown, strict=True)):
+            if not members.size:
+                continue
             templates = spectra.in_view(view, spectra.values[:, c : c + 1], *ALONE)
             left, whole = view.inner(templates, profiles)
             is_left = left[:, 0, 0] > SMALLEST_SHARE * whole[:, 0, 0]
-            found.append(np.stack([view.score(templates, profiles)[:, 0], left[:, 0, 0]]) * is_left)
-        both = np.empty((2, len(found[0][0]), len(self.model.station.antenna), len(profiles)))
-        for members, of_class in zip(self.model.members, found, strict=True):
-            both[:, :, members] = of_class
+            both[:, :, members] = np.stack([view.score(templates, profiles)[:, 0], left[:, 0, 0]]) * is_left
         return both[0], both[1]
 
     def _lost(self, profiles: Floats, spectra: FamilySpectra) -> Floats:

@@ -23,7 +23,7 @@ from lbacal_core.discovery.antennas import AntennaScore, compare_antennas, compa
 from lbacal_core.discovery.baseline import leave_out_deaf
 from lbacal_core.discovery.describe import Description, describe_structure
 from lbacal_core.discovery.findings import Finding, Grown, StationSearch, grow_findings
-from lbacal_core.discovery.hypothesis import Hypothesis, list_targets, p_of
+from lbacal_core.discovery.hypothesis import Hypothesis, Target, list_targets, p_of
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.refit import FittedModel, refit
@@ -51,6 +51,8 @@ class StationReport:
         Scores of every cause on the baseline; scores of the antenna comparison beside the findings.
     description
         The residual structure in words.
+    significant
+        Where the last significant score of a cause was.
     similar
         Findings that were withdrawn, because residual structure explains the data as well.
     first, last
@@ -88,6 +90,7 @@ class StationReport:
     record: Sequence[RecordError] = ()
     as_recorded: FittedModel | None = None
     description: Description = field(default_factory=Description)
+    significant: Target | None = None
     catalogue: Sequence[Cause] = CAUSES
 
 
@@ -165,6 +168,7 @@ def search_station(
         stations=stations,
         adopted=adopted.sizes,
         catalogue=catalogue,
+        significant=search.significant,
     )
 
 
@@ -173,7 +177,8 @@ def put_into_words(report: StationReport, seed: int = 0) -> StationReport:
     if report.structure is None:
         return report
     left, targets = _with(report.first, report.findings), list_targets(report.station)
-    return replace(report, description=describe_structure(left, report.structure, targets, report.policy, seed))
+    description = describe_structure(left, report.structure, targets, report.policy, seed, report.significant)
+    return replace(report, description=description)
 
 
 def _name_structure(

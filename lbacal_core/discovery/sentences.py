@@ -9,28 +9,34 @@ from itertools import pairwise, product
 
 import numpy as np
 
-from lbacal_core.causes.cause import Conditions, Template
+from lbacal_core.causes.cause import Conditions, Template, spectral_signature
 from lbacal_core.causes.grammar import (
     COURSES,
+    CURVE,
     LAWS,
     PLACES,
     PRODUCT,
+    SERIES,
     Form,
     Sentence,
     columns_of,
     course_of,
+    law_of,
     list_courses,
     list_laws,
     opposite,
     parts_of,
     rough_laws,
     sentence,
+    smooth_along_band,
+    smooth_in_time,
 )
-from lbacal_core.discovery.hypothesis import Target
+from lbacal_core.discovery.hypothesis import Hypothesis, Target
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.scan import Score, SpectralFamily, refine, score_families, score_in_means, score_in_path
 from lbacal_core.grids import Floats
+from lbacal_core.linear import invert_symmetric
 
 SENTENCE = Sentence()
 NOTICED_AT: Sequence[str] = ("sky", "antenna", "front", "receiver", "converter")
@@ -40,6 +46,8 @@ OTHER_GATES: Sequence[str] = ("near", "sky")
 """Courses with which a product is tried beside those that are 0 or 1."""
 TRIED = 3
 """Sentences whose numbers are moved before one is held against a cause."""
+SHARES_OF_STEP = (1.0, 0.5, 0.25)
+"""Shares of the steps of the grid by which numbers are moved, one after the other."""
 CERTAIN = 7.0
 """ln of the odds against chance from which a sentence is said: 1 in 1000, as for a cause of the catalogue."""
 
@@ -60,16 +68,25 @@ class ScoredSentence:
         return self.z**2 - self.length
 
     @property
+    def hypothesis(self) -> Hypothesis:
+        """The sentence with its size and error to first order."""
+        return Hypothesis(
+            SENTENCE, self.template, self.target, self.size, abs(self.size / self.z) if self.z else np.inf
+        )
+
+    @property
     def family(self) -> tuple[str, ...]:
         """Target, place, and the names of law and course: what rivals differ by."""
         place, law, course = parts_of(self.template)
         return self.target.label, place, law[0], *names_in(course)
 
 
-def likeliest_sentences(model: LinearModel, target: Target, choices: int = 1) -> list[ScoredSentence]:
+def likeliest_sentences(
+    model: LinearModel, target: Target, choices: int = 1, places: Sequence[str] = NOTICED_AT
+) -> list[ScoredSentence]:
     """The likeliest sentences of different families for a target, of few laws and places and all courses."""
     conditions = model.station.conditions
-    spectra = list(product(NOTICED_AT, rough_laws(conditions)[:NOTICED_BY]))
+    spectra = list(product(places, rough_laws(conditions)[:NOTICED_BY]))
     return best_of_families(score_sentences(model, [target], spectra, list_courses(conditions), choices))[:TRIED]
 
 
@@ -77,7 +94,7 @@ def names_in(course: Form) -> tuple[str, ...]:
     """Names of a course, of a product those of both, with what it follows."""
     if course[0] == PRODUCT:
         return (*names_in(course[1]), *names_in(course[2]))
-    return (course[0], str(course[1])) if course[0] in ("wave", "near", "column", "over", "under") else (course[0],)
+    return course[:2] if course[0] in (SERIES, "wave", "near", "column", "over", "under") else course[:1]
 
 
 def score_sentences(
@@ -148,13 +165,13 @@ class Lengths:
 
     def spectral(self, law: Form) -> float:
         """Length of place, law and target."""
-        return float(2.0 * np.log(len(PLACES) * len(LAWS) * self._laws[law[0]] * self._targets))
+        return float(2.0 * np.log(len(PLACES) * len(LAWS) * max(self._laws[law[0]], 1) * self._targets))
 
     def temporal(self, course: Form) -> float:
         """Length of a course of `causes.grammar`; a product is as long as both."""
         if course[0] == PRODUCT:
             return self.temporal(course[1]) + self.temporal(course[2])
-        return float(2.0 * np.log(len(COURSES) * self._courses[course[0]]))
+        return float(2.0 * np.log(len(COURSES) * max(self._courses[course[0]], 1)))
 
 
 def best_of_families(scored: Sequence[ScoredSentence]) -> list[ScoredSentence]:
@@ -168,8 +185,9 @@ def best_of_families(scored: Sequence[ScoredSentence]) -> list[ScoredSentence]:
 def refine_sentence(model: LinearModel, one: ScoredSentence, policy: Policy) -> ScoredSentence:
     """The same with the best numbers of law and course, of which one is moved at a time, and with a positive size."""
     conditions = model.station.conditions
-    for _ in range(3):
-        template = refine(model, Score(SENTENCE, one.template, one.target, one.z, one.size, 0), policy).template
+    for share in SHARES_OF_STEP:
+        cause = Sentence(share_of_step=share)
+        template = refine(model, Score(cause, one.template, one.target, one.z, one.size, 0), policy).template
         turned = opposite(template) if one.size < 0.0 else None
         template = turned or template
         family = SpectralFamily(SENTENCE, [template], SENTENCE.time_profile(conditions, template).T)
@@ -177,3 +195,57 @@ def refine_sentence(model: LinearModel, one: ScoredSentence, policy: Policy) -> 
         ((_, z, size),) = score_families(known, [family], [one.target])
         one = replace(one, template=template, z=z.item(), size=size.item())
     return one
+
+
+def estimate_sentence(model: LinearModel, one: ScoredSentence, choices: int) -> list[ScoredSentence]:
+    """The same with a course, with a law, and with a law and then a course whose numbers are estimated all together.
+
+    Each number beside the size is told to one part in the score: its length is the ln of the gain (Schwarz 1978, Ann.
+    Statist. 6, 461, with the information on a number in the place of the count of values).
+    """
+    found = list[ScoredSentence]()
+    length = Lengths(model.station.conditions, choices)
+    laws = _estimate(model, one, length, of_law=True)
+    found += laws
+    for start in (one, *laws):
+        found += _estimate(model, start, length, of_law=False)
+    return found
+
+
+def _estimate(model: LinearModel, one: ScoredSentence, length: Lengths, *, of_law: bool) -> list[ScoredSentence]:
+    """The best number of functions of each kind of law, or of course, in the place of that of a sentence."""
+    conditions = model.station.conditions
+    place, law, course = parts_of(one.template)
+    if of_law and law[0] == CURVE:
+        return []
+    known = model.on_events(SENTENCE.known_events(conditions, one.template))
+    conditions = known.station.conditions
+    shown = spectral_signature(SENTENCE, known.terms, conditions, sentence(place, ("flat",), ("always",)))
+    in_time = SENTENCE.time_profile(conditions, one.template)
+    found = []
+    for form, functions, counts in smooth_along_band(conditions) if of_law else smooth_in_time(conditions):
+        if of_law:
+            templates = [shown * in_time * own for own in functions]
+        else:
+            templates = [shown * own[:, None] * law_of(conditions, law) for own in functions]
+        score, information = known.products(templates, [one.target] * len(templates))
+        best: ScoredSentence | None = None
+        for count in counts:
+            size = invert_symmetric(information[:count, :count], share=1e-6) @ score[:count]
+            gain = max(float(size @ score[:count]), 1.0)
+            numbers, scale = _in_units(size, functions[:count])
+            own = (*form, *numbers)
+            template = sentence(place, own, course) if of_law else sentence(place, law, own)
+            _, new_law, new_course = parts_of(template)
+            estimated = (count - 1) * np.log(gain)
+            whole = length.spectral(new_law) + length.temporal(new_course) + estimated + 2.0 * np.log(len(counts))
+            tried = ScoredSentence(template, one.target, gain**0.5, scale, float(whole))
+            best = tried if best is None or tried.gain > best.gain else best
+        found += [] if best is None else [best]
+    return found
+
+
+def _in_units(size: Floats, functions: Floats) -> tuple[list[float], float]:
+    """Numbers of functions relative to the largest value of their sum, and that value."""
+    scale = max(float(np.abs(size @ functions).max()), 1e-300)
+    return [float(f"{one:.4g}") for one in size / scale], scale

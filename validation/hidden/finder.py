@@ -11,6 +11,7 @@ import numpy as np
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.discovery.adopted import find_members
 from lbacal_core.discovery.curve_search import describe_curve, investigate_curve
+from lbacal_core.discovery.findings import Finding
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
 from lbacal_core.discovery.refit import power_ratio
 from lbacal_core.discovery.report import investigate
@@ -87,16 +88,22 @@ class FittedModel:
 
     @property
     def places(self) -> list[str]:
-        """Place in the chain of each sentence that describes what no cause explains, the likeliest first."""
-        sentences = self._station.description.sentences
-        return [str(one.hypothesis.template.parameters["place"]) for one in sentences]
+        """Place in the chain of each sentence that is said, the likeliest first."""
+        return [str(one.template.parameters["place"]) for one, _ in self._said]
+
+    @property
+    def _said(self) -> list[tuple[Hypothesis, Finding | None]]:
+        """Sentences of what no cause explains; where there is none, those in the place of a finding, with that one."""
+        found: list[tuple[Hypothesis, Finding | None]]
+        found = [(one.hypothesis, None) for one in self._station.description.sentences]
+        return found or [(one, finding) for finding in self._station.findings for one in finding.sentences]
 
     def ratio(
         self, spectra: Spectra, instrument: Instrument, sky_power: SkyPower, sentence: int | None = None
     ) -> tuple[Floats, list[tuple[int, str]], Floats]:
         """Power with what was found over power without, in other spectra of the station.
 
-        With a `sentence` the findings that stand, and beside them the sentence of that number.
+        With a `sentence` the findings that stand, and the sentence of that number: beside them, or in the place of one.
 
         Returns
         -------
@@ -110,8 +117,8 @@ class FittedModel:
         terms = replace(self._station.last.baseline.terms, sky=other.sky)
         found = self._station.last.hypotheses
         if sentence is not None:
-            said = self._station.description.sentences[sentence].hypothesis
-            found = [*(one.hypothesis for one in self._station.findings), said]
+            said, instead = self._said[sentence]
+            found = [*(one.hypothesis for one in self._station.findings if one is not instead), said]
         found = [replace(one, target=_target_in(other, one)) for one in found]
         ratio = power_ratio(other, terms, found)
         paths = [(int(antenna), str(dipole)) for antenna, dipole in zip(other.antenna, other.dipole, strict=True)]

@@ -18,7 +18,9 @@ from lbacal_core.discovery.report import investigate
 from lbacal_core.discovery.residual_structure import find_structure, strongest_structure
 from lbacal_core.discovery.search import search_station
 from lbacal_core.discovery.station import gather_stations
-from lbacal_twin.faults.sky import IonosphericAbsorption
+from lbacal_twin.faults.fault import Where
+from lbacal_twin.faults.hardware import Compression, GainStep
+from lbacal_twin.faults.sky import DipoleSwap, IonosphericAbsorption, LstOffset
 from lbacal_twin.faults.uncatalogued import AuroralAbsorption, FieldGradient, MainsHum, WorkingWeek
 
 
@@ -141,3 +143,30 @@ def test_what_the_test_along_axes_is_too_wide_for_is_said_by_a_sentence(spoil, c
     assert report.findings == []
     assert report.structure.axis_name in {"date, period 27.3 d", "utc"}  # by night, in some nights
     assert search_station(quiet).structure is None
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("fault", "without", "place"),
+    [
+        (DipoleSwap(size=0.15), "dipole_swap", "polarisation"),
+        (LstOffset(size=0.2), "lst_offset", "time"),
+        (Compression(size=0.3), "compression", "level"),
+    ],
+)
+def test_what_a_shorter_catalogue_lacks_is_said(spoil, simulation, fault, without, place):
+    """Polarisations exchanged, a clock that is off, a gain that falls with the total power: no separable course."""
+    known = replace(simulation, catalogue=[one for one in CAUSES if one.identifier != without])
+    _, (found,) = investigate(spoil(fault), known)
+    assert parts_of(found.description.sentences[0].hypothesis.template)[0] == place
+
+
+@pytest.mark.long
+def test_an_effect_on_a_cable_is_not_said_of_one_of_its_paths(spoil, simulation):
+    fault = GainStep(size=0.04, date="2014-05-20", where=Where(cables=("50",)))
+    known = replace(simulation, catalogue=[one for one in CAUSES if one.identifier != "gain_step"])
+    _, (found,) = investigate(spoil(fault), known)
+    first = found.description.sentences[0].hypothesis
+    assert first.target.label == "cable 50"
+    assert parts_of(first.template)[2][0] == "step"
+    assert abs(first.size - 0.04) < 4 * first.sigma
