@@ -70,6 +70,8 @@ def tell_finding(finding: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     yield "these data cannot tell it from", ", ".join(tell_similar(finding)) or "nothing else in the catalogue"
     if rivals := tell_rivals(finding):
         yield "rivals, with their odds to it", rivals
+    if sentences := evidence.get("sentences"):
+        yield "sentences that are nearly as likely", " ".join(sentences)
     change = finding["calibration_change"]
     middle, most = (PERCENT * change[name] for name in ("median_fraction", "max_fraction"))
     words = "against a fit of the window without it"

@@ -15,7 +15,6 @@ from lbacal_core.audit.record import RecordError, put_right
 from lbacal_core.calibration.chain_form import FORM_OF_CHAIN, compare_forms
 from lbacal_core.causes.axes import describe_term
 from lbacal_core.causes.cause import Description as CauseTexts
-from lbacal_core.causes.cause import Template
 from lbacal_core.causes.grammar import PLACES, as_equation, in_words, write_instant
 from lbacal_core.discovery.adopted import describe_size, fit_adopted
 from lbacal_core.discovery.antennas import AntennaScore
@@ -179,8 +178,7 @@ def _finding(finding: Finding, report: StationReport) -> dict[str, Any]:
         gain=tell_gain(finding.chi2_before, finding.chi2_after, finding.dof, finding.held_out_gain, score.events),
         change=finding.calibration_change,
         sentence=_sentence(report, one.target, cause, finding.size, one.template.parameters)
-        + (f" {OPEN_NOISE[0].upper()}{OPEN_NOISE[1:]}." if finding.over_noise else "")
-        + _hardly_told_from([one.template for one in finding.sentences]),
+        + (f" {OPEN_NOISE[0].upper()}{OPEN_NOISE[1:]}." if finding.over_noise else ""),
         evidence={
             "score_sigma": float(score.z),
             "trials": float(score.trials),
@@ -408,7 +406,8 @@ def _said(description: Description, report: StationReport) -> dict[str, Any]:
     places = list(dict.fromkeys(one["parameters"]["place"] for one in sentences))
     words = sentences[0]["sentence"]
     if len(sentences) > 1:
-        words += _hardly_told_from([one.hypothesis.template for one in description.sentences[1:]])
+        others = "; ".join(f"{in_words(one.hypothesis.template)}" for one in description.sentences[1:])
+        words += f" The data hardly tell this from: {others}."
         shared = [
             part
             for part in ("place", "law", "course")
@@ -446,11 +445,6 @@ def _sentence_of(one: Described, report: StationReport, first: Described) -> dic
         "confirm": PLACES[place].confirm,
         "picture": picture_hypothesis(report, hypothesis),
     }
-
-
-def _hardly_told_from(others: Sequence[Template]) -> str:
-    """Sentences that are nearly as likely; empty where there is none."""
-    return f" The data hardly tell this from: {'; '.join(in_words(one) for one in others)}." if others else ""
 
 
 def _tell_sentence(one: Hypothesis, report: StationReport) -> str:
