@@ -109,8 +109,9 @@ class Change:
             return False
         if self.kind != STEP and (self.paths != other.paths or not self._has_size_of(other)):
             return False
-        has_common = bool(set(self.antennas) & set(other.antennas)) or not (self.paths or other.paths)
-        return has_common and is_same_date((self.date, self.sigma), (other.date, other.sigma))
+        if not is_same_date((self.date, self.sigma), (other.date, other.sigma)):
+            return False
+        return bool(set(self.antennas) & set(other.antennas)) or not (self.paths or other.paths)
 
     @property
     def estimate(self) -> dict[str, Any]:

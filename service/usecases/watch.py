@@ -183,7 +183,8 @@ def find_moved(on_record: Sequence[KeptChange], found: Alike) -> Iterator[tuple[
         if kept.ended is not None or any(by.source == PERSON and by.ended is None for by in kept.evidence):
             continue
         of_kind = found.get((own.station, own.kind), {})
-        nearest = _nearest(own, [one for one in of_kind if set(own.antennas) <= set(one.antennas)])
+        same = filter(own.is_same, of_kind)
+        nearest = _nearest(own, [one for one in same if set(own.antennas) <= set(one.antennas)])
         if nearest is None:
             continue
         more = [
@@ -191,16 +192,15 @@ def find_moved(on_record: Sequence[KeptChange], found: Alike) -> Iterator[tuple[
         ]
         if not (more or own.is_away_from(nearest)):
             continue
-        rivals = [
-            one for one in lasting[own.station, own.kind] if not own.paths or set(one.antennas) & set(own.antennas)
-        ]
+        same = filter(nearest.is_same, lasting[own.station, own.kind])
+        rivals = [one for one in same if not own.paths or set(one.antennas) & set(own.antennas)]
         if _nearest(nearest, rivals) == own:
             yield kept.number, replace(nearest, paths=(*own.paths, *more)), of_kind[nearest]
 
 
 def _nearest(own: Change, others: Iterable[Change]) -> Change | None:
-    """The one nearest in date of those that are the same change."""
-    return min(filter(own.is_same, others), key=lambda one: abs(one.date - own.date), default=None)
+    """The one nearest in date."""
+    return min(others, key=lambda one: abs(one.date - own.date), default=None)
 
 
 def read_changes(told: Mapping[str, Any]) -> list[Change]:
