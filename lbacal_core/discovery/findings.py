@@ -135,8 +135,8 @@ class StationSearch:
         self.first_scores = self.first_scores or scores
         significant = [score for score in scores if score.p_value < self.alpha]
         sentences = self._score_sentences(before, significant)
-        said = self._say(before, sentences[0], significant)
         named = self._name(before, significant, scores)
+        said = self._say(before, sentences[0], [one.gain for one in named] or [*map(_gain_beyond_chance, significant)])
         if said is None or (named and said.gain < named[0].gain + 2.0 * self.policy.likelier):
             beyond = 2.0 * self.policy.likelier
             beside = [
@@ -158,10 +158,10 @@ class StationSearch:
             likely = [refine_sentence(linear, one, self.policy) for one in likely]
         return sorted(likely, key=lambda one: -one.gain)
 
-    def _say(self, before: FittedModel, one: ScoredSentence, significant: Sequence[Score]) -> Candidate | None:
-        """The model with a sentence, where that is likelier than every cause by their scores."""
+    def _say(self, before: FittedModel, one: ScoredSentence, gains: Sequence[float]) -> Candidate | None:
+        """The model with a sentence, where that is likelier by its score than every cause."""
         linear, least = before.linear, 2.0 * max(CERTAIN, -float(np.log(self.alpha)))
-        if one.gain < max([least, *map(_gain_beyond_chance, significant)]):
+        if one.gain < max([least, *gains]):
             return None
         gated = score_gated(linear, [one.target], one, self._choices(one.target))
         one = refine_sentence(linear, max(gated, key=lambda one: one.gain), self.policy)

@@ -189,3 +189,10 @@ def test_a_gain_along_utc_is_no_interference_that_chose_its_hours(seed: int) -> 
     row = try_waves(seed)
     assert (row["along"], row["given"]) == ("utc", False)
     assert (row["verdict"], row["named"], row["axis"]) == ("unexplained", [], "utc")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [1000147, 1000197])
+def test_a_wave_is_not_named_though_causes_that_fit_worse_or_cannot_be_score_above_its_sentence(seed: int) -> None:
+    """They kept the sentence from being fitted: interference by hours, the beam for want of a possible point source."""
+    assert try_waves(seed)["named"] == []
