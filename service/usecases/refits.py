@@ -19,7 +19,7 @@ from lbacal_core.spectra.spectra import Spectra
 from lbacal_core.spectra.stations import Recorded
 from service.config import Settings
 from service.errors import ConflictError
-from service.storage.changes import KeptChange
+from service.storage.changes import KeptChange, concerns
 from service.storage.database import Database, Stores
 from service.storage.jobs import Order, Part
 from service.storage.models import ADOPTED, Gain
@@ -130,7 +130,7 @@ class Refits:
             later = None if block is None else self.fits.read_later(stores, block, wanted.window)
             neighbours = self.fits.find_neighbours(stores, wanted)
             pieces = [] if later is None else read_pieces(later.block.arrays)
-            before = _list_before(stores, pieces, _find_decided(stores.changes.kept(wanted.of.station)))
+            before = _list_before(stores, pieces, stores.changes.kept(wanted.of.station))
         if later is None:
             return False
         found = self.fits.elsewhere(Fits.examine, pieces, later.spectra, neighbours, before)
@@ -201,7 +201,6 @@ class Refits:
         change = stores.models.last_change(part.request["station"], since, until)
         superseded, kept_changes = _explain_other_model(stores, part), stores.changes.kept(part.request["station"])
         cuts, of_antenna = [cut for one in kept_changes for cut in one.cuts], group_by_antenna(kept_changes)
-        decided = _find_decided(kept_changes)
 
         def object_to(v: Version) -> str | None:
             slow = [one.slow for one in find_slow(v.scope, of_antenna) if one.slow]
@@ -214,6 +213,7 @@ class Refits:
             name = aside.get(v.scope) or standing.get(v.scope)
             is_same = v.id == name
             answering, told_last = versions.get(str(name)), own.get(v.scope)
+            decided = _find_decided(kept_changes, v.scope)
             one = None if is_same else _confirm(stores, v, answering, told_last, changes[v.scope], decided)
             if gated[v.id] is None and one is not None:
                 examined[v.scope] = one
@@ -308,7 +308,7 @@ def _confirm(
 ) -> Examined | None:
     """The fit as a confirmation of the version in effect, or of one that answered before; None if it is news.
 
-    What answered before the last decision about a change comes first: by one that is undone C comes back in several
+    What answered before the last decision about its changes comes first: by one that is undone C comes back in several
     fits, of which the first may still differ. Then the first near enough of those of the same spectra answers: the same
     fit has the same answer whenever it is made. Else it is the one in effect, or one of before.
     """
@@ -318,7 +318,8 @@ def _confirm(
         return None
     then = stores.versions.get_many(names)
     before = [str(p.calibration) for p in promotions if p.at <= decided]
-    same = [name for name in reversed(names) if then[name].inputs["spectra"] == new.inputs["spectra"]]
+    of_same = [name for name in names if then[name].inputs["spectra"] == new.inputs["spectra"]]
+    same = sorted(of_same, key=lambda name: then[name].made)  # by promotion two of them would take turns
     ordered = (*(name for name in same if name in before), *before, *same)
     one = next((again for name in ordered if (again := _examine(new, then[name]))), None)
     if one is not None:
@@ -331,16 +332,21 @@ def _confirm(
     return min((again for again in (recalled, one) if again is not None), key=lambda again: again.shift, default=None)
 
 
-def _find_decided(changes: Iterable[KeptChange]) -> Instant:
-    """When somebody decided about one of some changes last; 0 where nobody did."""
-    return max((one.said.at for one in changes if one.said is not None), default=0)
+def _find_decided(changes: Iterable[KeptChange], scope: Scope) -> Instant:
+    """When somebody decided last about one of some changes that concerns a scope; 0 where nobody did."""
+    own = (one.said.at for one in changes if one.said is not None and concerns(one, scope.antenna, scope.dipole))
+    return max(own, default=0)
 
 
-def _list_before(stores: Stores, pieces: Sequence[KeptPiece], decided: Instant) -> dict[TellKey, list[Told]]:
-    """What scopes were served before the last decision about a change, where something else answers since."""
+def _list_before(
+    stores: Stores, pieces: Sequence[KeptPiece], changes: Sequence[KeptChange]
+) -> dict[TellKey, list[Told]]:
+    """What scopes were served before the last decision about a change of theirs, where something else answers since."""
     found = {}
-    for of in pieces if decided else ():
+    for of in pieces:
         for told in of.told:
+            if not (decided := _find_decided(changes, told.scope)):
+                continue
             promotions = stores.ledger.of_interval(told.scope, of.since, of.until, MOST_RECALLED)
             names = [str(p.calibration) for p in promotions if p.at <= decided]
             if names and told.calibration not in names:

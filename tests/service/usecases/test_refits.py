@@ -16,11 +16,12 @@ from lbacal_core.spectra.spectra import Spectra
 from service.factory import Factory
 from service.scheduler import look_for_due_work
 from service.schema.tables import calibration, spectrum
+from service.storage.changes import STEP, Change, Decision, KeptChange
 from service.storage.jobs import Job
 from service.storage.versions import Examined, Version
-from service.usecases.refits import _confirm
+from service.usecases.refits import _confirm, _find_decided
 from service.wire.bodies import ChangeBody, DecisionBody, PromotionBody
-from tests.service.conftest import add_spectra, get_version, like, new_version, night, refit, work
+from tests.service.conftest import add_spectra, get_version, instant, like, new_version, night, refit, work
 
 
 @pytest.fixture
@@ -186,6 +187,32 @@ def test_what_answered_before_a_decision_that_is_undone_answers_again(
         one = _confirm(stores, new, after, None, (), {"between": first.at, "never": 0}[decided])
     assert one is not None
     assert one.calibration == {"before": before, "after": after}[answers].id
+
+
+def test_of_two_fits_of_the_same_spectra_the_first_answers_however_often_they_took_turns(factory: Factory) -> None:
+    """Each that was near enough took the place of the other, whenever lines of another year moved."""
+    scope, c = Scope("CS001"), {"one": 1.0, "other": 1.0004, "new": 1.0002}
+    one, other, new = (
+        replace(
+            new_version(scope, name, c[name]), inputs={"spectra": "all", "beside": name}, made=instant("2020-01-01") + k
+        )
+        for k, name in enumerate(c)
+    )
+    with factory.database.write() as stores:
+        stores.versions.add([one, other])
+        for last in (one, other, one, other):
+            stores.ledger.append([Promotion(0, scope, *last.window, last.id, 0, "night", "")], factory.clock)
+            found = _confirm(stores, new, last, None, (), 0)
+            assert found is not None
+            assert found.calibration == one.id
+
+
+def test_a_decision_is_of_the_paths_that_its_change_concerns() -> None:
+    """Another antenna's version of before a decision came back, when that decision was undone."""
+    change = Change("CS001", ((1, "X"),), STEP, 0, 0)
+    kept = KeptChange(1, change, 0, (), Decision("dismissed", 7, "", ""))
+    decided = [_find_decided([kept], Scope("CS001", *path)) for path in ((1, "X"), (1, "Y"), (2, "X"), ())]
+    assert decided == [7, 0, 0, 7]
 
 
 @pytest.mark.long
