@@ -35,6 +35,7 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--first", type=int, default=0, help="with --scratch: the first seed, or one that was entered")
     parser.add_argument("--standing", action="store_true", help="every part of validation/standing.toml, at a release")
     parser.add_argument("--page", action="store_true", help="write docs/validation.md and the figures of texts anew")
+    parser.add_argument("--mended", default="", help="what was mended since the last block: the record begins anew")
     chosen = parser.parse_args(arguments)
     if chosen.first and not chosen.scratch:
         parser.error("seeds of a recorded run follow from the ledger: leave out --first, or say --scratch")
@@ -76,7 +77,7 @@ def _prove(chosen: argparse.Namespace, verdicts: list[str]) -> None:
     unknown = set(chosen.part or []) - set(parts)
     if unknown:
         raise RefusedError(f"{chosen.name} has no part {', '.join(sorted(unknown))}; it has {', '.join(parts)}")
-    order = Order(chosen.count, chosen.workers, chosen.scratch, chosen.first)
+    order = Order(chosen.count, chosen.workers, chosen.scratch, chosen.first, chosen.mended)
     for name in chosen.part or parts:
         if parts[name].needs_shared and not SHARED.is_dir() and not chosen.part:
             print(

@@ -51,7 +51,13 @@ def joined(blocks: Iterable[Block]) -> tuple[Block, ...]:
 
 @dataclass(frozen=True)
 class Entry:
-    """A block of seeds of a part, entered at a commit; fixed cases, in which there is no chance, begin at 0."""
+    """A block of seeds of a part, entered at a commit; fixed cases, in which there is no chance, begin at 0.
+
+    Attributes
+    ----------
+    mended
+        What was mended in the code since the block before, with which this one is then not pooled.
+    """
 
     proof: str
     part: str
@@ -59,6 +65,7 @@ class Entry:
     count: int
     entered_at: str
     commit: str
+    mended: str = ""
 
     @property
     def block(self) -> Block:

@@ -27,10 +27,9 @@ The interval of a figure decides ([how](explanation/how-discovery-is-proven.md#w
 of it is within what is asked. **Refuted**: none is. **Undecided**: it reaches over the limit. n counts independent
 trials and, in brackets, how often seeds were entered in the [ledger](../validation/ledger.jsonl), whatever became of
 them. A record is *old* where the finder says of the [frozen data sets](../validation/frozen) something else than then.
-The rows are the main claims of each proof; what else is refuted or undecided stands at the end.
+The rows are main claims; what else is refuted or undecided stands below.
 """
 TABLE = ("| claim | asked | found (interval) | n | verdict | proof |", "|" + "---|" * 6)
-PROOFS = "`./dev prove` lists the proofs. Hours of one core: "
 OPEN = "Undecided (their records have sentence, limit and interval): "
 LIMITS = """\
 - The twin that makes the data is ours. It shares no code with what is tested, but its author has read both: a fault of
@@ -56,13 +55,15 @@ def write_page(records: Iterable[Record], history: Sequence[Record], entries: Se
         for claim in one.claims
         if _is_headline(claim, one)
     ]
-    lines = [INTRODUCTION, *TABLE, *rows, "", f"{PROOFS}{_count_hours(by_proof)}.", ""]
+    hours = sum(record.hours for own in by_proof.values() for record in own)
+    lines = [INTRODUCTION, *TABLE, *rows, "", f"`./dev prove` lists the proofs: {hours:.0f} hours of one core.", ""]
     for proof in by_proof:
         images: dict[str, str] = getattr(importlib.import_module(f"validation.{proof}"), "IMAGES", {})
         lines += [
             line for name in images if (IMAGES / name).is_file() for line in (f"![{images[name]}](images/{name})", "")
         ]
     lines += ["## What is not shown", "", LIMITS.rstrip(), "", *_open_claims(by_proof), ""]
+    lines += _tell_refuted_before(by_proof, history)
     lines += ["## Entered, no result", "", *_tell_blocks(without_result([*records, *history], entries)), ""]
     return "\n".join(lines)
 
@@ -75,6 +76,21 @@ def renew_page() -> Path:
     return path
 
 
+def _tell_refuted_before(by_proof: Mapping[str, Sequence[Record]], history: Sequence[Record]) -> list[str]:
+    """What the record before refuted and this one does not, with what was mended between them."""
+    lines = []
+    for record in (one for own in by_proof.values() for one in own):
+        before = [claim for one in [one for one in history if one.name == record.name][-1:] for claim in one.claims]
+        now = {claim.key for claim in record.claims if claim.verdict != REFUTED}
+        refuted = [claim for claim in before if claim.verdict == REFUTED and claim.key in now]
+        told = "; ".join(f"`{claim.key}` {claim.words_found} of {claim.n}" for claim in refuted)
+        if told or record.mended:
+            lines.append(
+                f"- {record.name}: {told or 'nothing'}.{f' Mended since: {record.mended}.' * bool(record.mended)}"
+            )
+    return ["## Refuted by the record before", "", *lines, ""] if lines else []
+
+
 def _tell_blocks(entries: Iterable[Entry]) -> list[str]:
     """Every part that has blocks without a result, with their seeds; the ledger has dates and commits."""
     blocks: dict[str, list[str]] = {}
@@ -82,13 +98,6 @@ def _tell_blocks(entries: Iterable[Entry]) -> list[str]:
         blocks.setdefault(name_of(one.proof, one.part), []).append(f"{one.first}-{one.block.end - 1}")
     told = "; ".join(f"{name} {', '.join(seeds)}" for name, seeds in blocks.items())
     return [f"Seeds of the ledger: {told}."] if told else []
-
-
-def _count_hours(by_proof: Mapping[str, Sequence[Record]]) -> str:
-    """The hours of every proof that takes more than one; the others together."""
-    hours = {proof: sum(record.hours for record in records) for proof, records in by_proof.items()}
-    long = [f"`{proof}` {spent:.2g}" for proof, spent in hours.items() if spent > 1.0]
-    return ", ".join([*long, f"the others together {sum(spent for spent in hours.values() if spent <= 1.0):.2g}"])
 
 
 def _is_headline(claim: Claim, record: Record) -> bool:

@@ -33,6 +33,8 @@ class Record:
         Time of all trials together, each on one core.
     rows
         The trials, where another block may join them, or the docs are made from them.
+    mended
+        What was mended in the code since the record before, where it does not go on with that.
     """
 
     proof: str
@@ -45,6 +47,7 @@ class Record:
     hours: float
     claims: tuple[Claim, ...]
     rows: tuple[Row, ...] = field(default=(), repr=False)
+    mended: str = ""
 
     @property
     def name(self) -> str:
@@ -66,7 +69,8 @@ class Record:
         return {
             "proof": self.proof, "part": self.part, "commit": self.commit, "made_at": self.made_at,
             "frozen": self.frozen, "look": self.look, "blocks": [[block.first, block.count] for block in self.blocks],
-            "hours": round(self.hours, 4), "claims": [claim.as_dict() for claim in self.claims],
+            "hours": round(self.hours, 4), **({"mended": self.mended} if self.mended else {}),
+            "claims": [claim.as_dict() for claim in self.claims],
         }  # fmt: skip
 
     def write(self) -> Path:
@@ -137,13 +141,17 @@ def verdicts_of(proof: str, part: str, rows: Sequence[Row]) -> dict[str, str]:
 def take_in(record: Record, part: Part, rows: Sequence[Row]) -> Record:
     """Write what a block gave: pooled with the trials on record if these hold, else in the place of the record.
 
+    They do not where the block says that something was mended since.
+
     Trials stay where another block may join them, or the docs are made from them.
     """
     path = path_of(record.proof, record.part)
     earlier = read_record(path) if path.is_file() else None
-    if earlier and part.has_chance and earlier.rows and earlier.holds and earlier.rows[0].keys() == rows[0].keys():
+    is_same_code = earlier is not None and earlier.holds and not record.mended
+    if earlier and is_same_code and part.has_chance and earlier.rows and earlier.rows[0].keys() == rows[0].keys():
         rows = sorted([*earlier.rows, *rows], key=lambda row: row["seed"])
-        record = replace(record, blocks=joined([*earlier.blocks, *record.blocks]), hours=earlier.hours + record.hours)
+        blocks, hours = joined([*earlier.blocks, *record.blocks]), earlier.hours + record.hours
+        record = replace(record, blocks=blocks, hours=hours, mended=earlier.mended)
     elif earlier:
         enter_into_history(earlier)
     claims = decide(part.judge(rows), asked_of(record.proof, record.part), record.look)

@@ -32,12 +32,15 @@ class Order:
         Whether nothing is entered or recorded.
     first
         First seed of a scratch run; those of a recorded run follow from the ledger.
+    mended
+        What was mended in the code since the last block, where the record is to begin anew.
     """
 
     count: int | None = None
     workers: int = 2
     is_scratch: bool = False
     first: int = 0
+    mended: str = ""
 
 
 def run_and_record(proof: str, part: Part, order: Order) -> Record:
@@ -57,7 +60,9 @@ def run_and_record(proof: str, part: Part, order: Order) -> Record:
     if code.changed_files() or code.changed_since(entry.commit):
         raise RefusedError("the code was changed while the proof ran: nothing is recorded")
     hours = sum(row["seconds"] for row in rows) / 3600
-    record = Record(proof, part.name, entry.commit, made_at, frozen_digest(), look, (entry.block,), hours, ())
+    record = Record(
+        proof, part.name, entry.commit, made_at, frozen_digest(), look, (entry.block,), hours, (), mended=entry.mended
+    )
     return take_in(record, part, rows)
 
 
@@ -90,7 +95,7 @@ def _resumed(entries: list[Entry]) -> Entry | None:
 
 def _entered(proof: str, part: Part, order: Order, entries: list[Entry], now: str) -> Entry:
     first, count = (first_unspent(entries), order.count or part.count) if part.has_chance else (0, part.count)
-    entry = Entry(proof, part.name, first, count, now, code.commit())
+    entry = Entry(proof, part.name, first, count, now, code.commit(), order.mended)
     try:
         enter(entry, renew_page)
     except RuntimeError as error:

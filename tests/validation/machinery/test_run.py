@@ -10,7 +10,7 @@ import pytest
 from validation.machinery import code, records
 from validation.machinery.claims import Asked, rate_of
 from validation.machinery.ledger import DEBUG_BELOW, LEDGER, Block, read_ledger
-from validation.machinery.page import tell_change, write_page
+from validation.machinery.page import _tell_refuted_before, tell_change, write_page
 from validation.machinery.parts import Part, Row
 from validation.machinery.records import read_history, read_records
 from validation.machinery.run import Order, RefusedError, run_and_record
@@ -129,6 +129,21 @@ def test_blocks_are_pooled_while_the_frozen_data_sets_say_the_same(checkout: Pat
     assert (fresh.blocks, fresh.look, fresh.claim("even").n) == ((Block(DEBUG_BELOW + 10, 6),), 3, 6)
     (old,) = read_history()
     assert (old.blocks, old.claims, old.rows) == (whole.blocks, whole.claims, ())
+
+
+def test_a_record_begins_anew_where_something_was_mended_and_says_what_was_refuted_before(checkout: Path):
+    def never(_rows):
+        return [rate_of("even", 0, 100)]
+
+    run_and_record("some", Part("parity", _try, never, 6), Order())
+    change_code(checkout, 2)
+    fresh = run_and_record("some", PART, Order(mended="C was 1"))
+    assert (fresh.blocks, fresh.look, fresh.mended) == ((Block(DEBUG_BELOW + 6, 6),), 2, "C was 1")
+    assert [one.claim("even").verdict for one in read_history()] == ["refuted"]
+    whole = run_and_record("some", PART, Order())
+    assert (whole.blocks, whole.look, whole.mended) == ((Block(DEBUG_BELOW + 6, 12),), 3, "C was 1")
+    told = _tell_refuted_before({"some": read_records()}, read_history())
+    assert told[2] == "- some-parity: `even` 0 % (0 to 4.48) of 100. Mended since: C was 1."
 
 
 @pytest.mark.usefixtures("checkout")
