@@ -213,7 +213,7 @@ class Decision:
 
 @dataclass(frozen=True)
 class KeptChange:
-    """A change on record with its evidence, oldest first, and the last decision about it.
+    """A change on record with its evidence and the decisions about it, oldest first.
 
     `is_refitted`: no version in effect answers on both sides of a date at which it cuts windows.
     """
@@ -222,8 +222,13 @@ class KeptChange:
     change: Change
     made: Instant
     evidence: tuple[Evidence, ...]
-    said: Decision | None = None
+    decisions: tuple[Decision, ...] = ()
     is_refitted: bool = True
+
+    @property
+    def said(self) -> Decision | None:
+        """The last decision."""
+        return self.decisions[-1] if self.decisions else None
 
     @property
     def ended(self) -> Instant | None:
@@ -427,11 +432,9 @@ class ChangeStore(Store):
         kept = []
         for row in rows:
             paths = tuple((antenna, dipole) for antenna, dipole in json.loads(row.paths))
-            said = [one for one in decisions.get(row.id, []) if as_of is None or one.at <= as_of]
-            one = KeptChange(
-                row.id, from_row(Change, row, paths=paths), row.made_us, tuple(evidence.get(row.id, ())),
-                said[-1] if said else None,
-            )  # fmt: skip
+            said = tuple(one for one in decisions.get(row.id, ()) if as_of is None or one.at <= as_of)
+            own = tuple(evidence.get(row.id, ()))
+            one = KeptChange(row.id, from_row(Change, row, paths=paths), row.made_us, own, said)
             if as_of is None or row.made_us <= as_of:
                 kept.append(one if as_of is None else one.seen_at(as_of))
         return kept

@@ -122,7 +122,8 @@ class Changes:
         """The change as it would be decided, and what that does to the curves of its paths, by fits of the year."""
         with self.database.read() as stores:
             kept = _require_open(stores.changes.get(number), body.decision)
-            then = replace(kept, said=Decision(body.decision, self.clock(), by, body.reason))
+            said = Decision(body.decision, self.clock(), by, body.reason)
+            then = replace(kept, decisions=(*kept.decisions, said))
             others = [one for one in stores.changes.kept(kept.change.station) if one.number != number]
             if kept.slow or then.slow:
                 return then, list(self._follow(stores, [*others, kept], [*others, then], kept))

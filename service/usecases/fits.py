@@ -235,11 +235,11 @@ class Fits:
 
     def examine(
         self, pieces: Sequence[KeptPiece], spectra: Spectra | None, neighbours: Neighbours,
-        before: Mapping[TellKey, Sequence[Told]],
+        before: Mapping[TellKey, Told],
     ) -> Outcome | None:  # fmt: skip
         """Look at later events of a kept fit, and at other windows; None where the whole window is to be read.
 
-        A scope is not done where one of `before` is near enough: what it was served may answer again.
+        A scope is not done where `before` is near enough: what it was served may answer again.
         """
         examined, rest, made = list[Examined](), list[Scope](), self.clock()
         names = [None if spectra is None else spectra.digest()]
@@ -260,9 +260,10 @@ class Fits:
                     return None
                 # the mean of all stations would be read anew for a change of one antenna
                 is_other = told.scope != Scope() and told.changes not in (None, neighbours.changes_of(told.scope))
-                of_before = before.get((told.scope, piece.since, piece.until), ())
-                shifts = [one for one in (_find_shift(was, continued) for was in of_before) if one is not None]
-                if shift is None or shift >= SMALLEST_SHIFT or is_other or min(shifts, default=np.inf) < SMALLEST_SHIFT:
+                was = before.get((told.scope, piece.since, piece.until))
+                of_before = None if was is None else _find_shift(was, continued)
+                is_again = of_before is not None and of_before < SMALLEST_SHIFT
+                if shift is None or shift >= SMALLEST_SHIFT or is_other or is_again:
                     rest.append(told.scope)
                     continue
                 inputs = hash_content([told.calibration, *names, name_windows(told.scope, beside)])

@@ -19,7 +19,7 @@ from lbacal_core.spectra.spectra import Spectra
 from lbacal_core.spectra.stations import Recorded
 from service.config import Settings
 from service.errors import ConflictError
-from service.storage.changes import KeptChange, concerns
+from service.storage.changes import IN_FORCE, KeptChange, concerns
 from service.storage.database import Database, Stores
 from service.storage.jobs import Order, Part
 from service.storage.models import ADOPTED, Gain
@@ -213,8 +213,8 @@ class Refits:
             name = aside.get(v.scope) or standing.get(v.scope)
             is_same = v.id == name
             answering, told_last = versions.get(str(name)), own.get(v.scope)
-            decided = _find_decided(kept_changes, v.scope)
-            one = None if is_same else _confirm(stores, v, answering, told_last, changes[v.scope], decided)
+            alike = _find_alike(kept_changes, v.scope)
+            one = None if is_same else _confirm(stores, v, answering, told_last, changes[v.scope], alike)
             if gated[v.id] is None and one is not None:
                 examined[v.scope] = one
                 versions |= stores.versions.get_many([one.calibration])
@@ -304,23 +304,22 @@ def _confirm(
     in_effect: Version | None,
     said: Told | None,
     changes: Sequence[Instant],
-    decided: Instant,
+    alike: Instant,
 ) -> Examined | None:
     """The fit as a confirmation of the version in effect, or of one that answered before; None if it is news.
 
-    What answered before the last decision about its changes comes first: by one that is undone C comes back in several
-    fits, of which the first may still differ. Then the first near enough of those of the same spectra answers: the same
-    fit has the same answer whenever it is made. Else it is the one in effect, or one of before.
+    What answered when changes were in force as now for the last time before comes first: by a decision that is undone C
+    comes back in several fits, of which the first may still differ. Then the first near enough of those of the same
+    spectra answers: the same fit has the same answer whenever it is made. Else it is the one in effect, or an earlier.
     """
     promotions = stores.ledger.of_interval(new.scope, *new.window, MOST_RECALLED)
     names = list(dict.fromkeys(str(p.calibration) for p in promotions))
     if new.id in names:
         return None
     then = stores.versions.get_many(names)
-    before = [str(p.calibration) for p in promotions if p.at <= decided]
+    before = [str(p.calibration) for p in promotions if p.at <= alike][:1]
     of_same = [name for name in names if then[name].inputs["spectra"] == new.inputs["spectra"]]
-    same = sorted(of_same, key=lambda name: then[name].made)  # by promotion two of them would take turns
-    ordered = (*(name for name in same if name in before), *before, *same)
+    ordered = (*before, *sorted(of_same, key=lambda name: then[name].made))  # by promotion two would take turns
     one = next((again for name in ordered if (again := _examine(new, then[name]))), None)
     if one is not None:
         return one
@@ -332,28 +331,36 @@ def _confirm(
     return min((again for again in (recalled, one) if again is not None), key=lambda again: again.shift, default=None)
 
 
-def _find_decided(changes: Iterable[KeptChange], scope: Scope) -> Instant:
-    """When somebody decided last about one of some changes that concerns a scope; 0 where nobody did."""
-    own = (one.said.at for one in changes if one.said is not None and concerns(one, scope.antenna, scope.dipole))
-    return max(own, default=0)
+def _find_alike(changes: Iterable[KeptChange], scope: Scope) -> Instant:
+    """When the changes of a scope in force were those of now for the last time before others were; 0 if never."""
+    acts: list[tuple[Instant, int, bool]] = []
+    for one in changes:
+        if concerns(one, scope.antenna, scope.dipole):
+            acts.append((one.made, one.number, replace(one, decisions=()).decision == IN_FORCE))
+            acts += [(said.at, one.number, said.decision == IN_FORCE) for said in one.decisions]
+            acts += [] if one.ended is None else [(one.ended, one.number, False)]
+    acts.sort(key=lambda act: act[0])
+    states = [frozenset[int]()]
+    for _, number, is_in_force in acts:
+        states.append(states[-1] | {number} if is_in_force else states[-1] - {number})
+    others = [k for k, state in enumerate(states) if state != states[-1]]
+    alike = [k for k in range(others[-1] if others else 0) if states[k] == states[-1]]
+    return acts[alike[-1]][0] if alike else 0
 
 
-def _list_before(
-    stores: Stores, pieces: Sequence[KeptPiece], changes: Sequence[KeptChange]
-) -> dict[TellKey, list[Told]]:
-    """What scopes were served before the last decision about a change of theirs, where something else answers since."""
+def _list_before(stores: Stores, pieces: Sequence[KeptPiece], changes: Sequence[KeptChange]) -> dict[TellKey, Told]:
+    """What scopes were served when changes were in force as now last, where something else answers since."""
     found = {}
     for of in pieces:
         for told in of.told:
-            if not (decided := _find_decided(changes, told.scope)):
+            if not (alike := _find_alike(changes, told.scope)):
                 continue
             promotions = stores.ledger.of_interval(told.scope, of.since, of.until, MOST_RECALLED)
-            names = [str(p.calibration) for p in promotions if p.at <= decided]
-            if names and told.calibration not in names:
-                versions = stores.versions.get_many([*names, told.calibration])
-                now = versions.pop(told.calibration)
-                alike = [one for one in versions.values() if find_shift(one, now) is not None]
-                found[told.scope, of.since, of.until] = [tell(one, (), is_in_effect=False) for one in alike]
+            name = next((str(p.calibration) for p in promotions if p.at <= alike), told.calibration)
+            if name != told.calibration:
+                versions = stores.versions.get_many([name, told.calibration])
+                if find_shift(versions[name], versions[told.calibration]) is not None:
+                    found[told.scope, of.since, of.until] = tell(versions[name], (), is_in_effect=False)
     return found
 
 

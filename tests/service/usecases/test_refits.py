@@ -16,10 +16,10 @@ from lbacal_core.spectra.spectra import Spectra
 from service.factory import Factory
 from service.scheduler import look_for_due_work
 from service.schema.tables import calibration, spectrum
-from service.storage.changes import STEP, Change, Decision, KeptChange
+from service.storage.changes import STEP, Change, Decision, Evidence, KeptChange
 from service.storage.jobs import Job
 from service.storage.versions import Examined, Version
-from service.usecases.refits import _confirm, _find_decided
+from service.usecases.refits import _confirm, _find_alike
 from service.wire.bodies import ChangeBody, DecisionBody, PromotionBody
 from tests.service.conftest import add_spectra, get_version, instant, like, new_version, night, refit, work
 
@@ -207,12 +207,22 @@ def test_of_two_fits_of_the_same_spectra_the_first_answers_however_often_they_to
             assert found.calibration == one.id
 
 
-def test_a_decision_is_of_the_paths_that_its_change_concerns() -> None:
-    """Another antenna's version of before a decision came back, when that decision was undone."""
+def test_changes_are_in_force_as_before_where_a_decision_is_undone_and_for_the_paths_it_concerns() -> None:
+    """Another antenna's version of before a decision came back, and what the decision itself had brought."""
     change = Change("CS001", ((1, "X"),), STEP, 0, 0)
-    kept = KeptChange(1, change, 0, (), Decision("dismissed", 7, "", ""))
-    decided = [_find_decided([kept], Scope("CS001", *path)) for path in ((1, "X"), (1, "Y"), (2, "X"), ())]
-    assert decided == [7, 0, 0, 7]
+
+    def last_alike(*decisions: str, path: tuple[int, str] | tuple[()] = (1, "X"), ended: int | None = None) -> int:
+        said = tuple(Decision(one, 10 * (k + 2), "", "") for k, one in enumerate(decisions))
+        drift = Evidence("drift", "", 9.0, 10, ended=ended)
+        return _find_alike([KeptChange(1, change, 10, (drift,), said)], Scope("CS001", *path))
+
+    assert [last_alike(), last_alike("in_force")] == [0, 0]
+    assert last_alike("dismissed") == 10, "as before it was found"
+    assert last_alike("dismissed", "in_force") == 20
+    assert last_alike("dismissed", "in_force", "dismissed") == 30
+    assert last_alike("dismissed", "in_force", "in_force") == 20
+    assert last_alike(ended=70) == 10
+    assert [last_alike("dismissed", path=path) for path in ((1, "Y"), (2, "X"), ())] == [0, 0, 10]
 
 
 @pytest.mark.long
