@@ -235,8 +235,8 @@ def fit_sizes(
 def _has_run_away(station: Station, baseline: Baseline, hypotheses: Sequence[Hypothesis]) -> bool:
     """Whether residuals are far from noise, which is not to be estimated from them, or nothing is left of the sky.
 
-    In a channel at the end of the band, behind a long cable, the fitted share of the sky is 0 within its error: the band
-    as a whole tells.
+    In a channel at the end of the band, behind a long cable, the fitted share of the sky is 0 within its error: the
+    band as a whole tells.
     """
     terms = act_together(station, baseline.terms, hypotheses)
     share = (terms.sky * terms.front / terms.power()).mean(axis=(1, 2))

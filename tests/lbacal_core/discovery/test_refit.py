@@ -43,6 +43,19 @@ def test_a_chain_that_is_far_from_the_data_of_its_paths_has_no_sizes(world):
     assert refit(far, look.fit("lst_offset", look.template("lst_offset")).effect) is None
 
 
+def test_a_channel_in_which_the_fitted_sky_is_below_zero_stops_no_fit(world):
+    """At 80 MHz behind a long cable hardly any sky is left: every cause and sentence of such data was thrown away."""
+    look = world.look()
+    chain, power = look.model.baseline.terms, look.data.power.copy()
+    left = 0.9 * (chain.receiver_noise + chain.adc_noise) / chain.power()
+    power[:, :, -1] *= left[look.data.class_of, :, -1]
+    data = replace(look.model, linear=replace(look.model.linear, station=replace(look.data, power=power)))
+    model = refit(data, look.fit("lst_offset", look.template("lst_offset")).effect)
+    assert model is not None
+    terms = model.baseline.terms
+    assert np.any((terms.sky * terms.front)[:, :, -1] < 0.0)
+
+
 @pytest.mark.long
 def test_the_errors_of_sizes_cover_where_the_template_is_open(world):
     """Hours and spectral index of broad-band interference are open at 8 standard deviations: its size is too."""
