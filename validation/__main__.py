@@ -39,6 +39,8 @@ def main(arguments: list[str]) -> int:
     chosen = parser.parse_args(arguments)
     if chosen.first and not chosen.scratch:
         parser.error("seeds of a recorded run follow from the ledger: leave out --first, or say --scratch")
+    if chosen.mended and (chosen.scratch or chosen.name is None):
+        parser.error("--mended begins the record of a proof anew: name it, and leave out --scratch")
     if chosen.name is None and not (chosen.page or chosen.standing):
         return _list_proofs()
     verdicts: list[str] = []

@@ -339,13 +339,18 @@ def _find_alike(changes: Iterable[KeptChange], scope: Scope) -> Instant:
             acts.append((one.made, one.number, replace(one, decisions=()).decision == IN_FORCE))
             acts += [(said.at, one.number, said.decision == IN_FORCE) for said in one.decisions]
             acts += [] if one.ended is None else [(one.ended, one.number, False)]
-    acts.sort(key=lambda act: act[0])
-    states = [frozenset[int]()]
-    for _, number, is_in_force in acts:
-        states.append(states[-1] | {number} if is_in_force else states[-1] - {number})
-    others = [k for k, state in enumerate(states) if state != states[-1]]
-    alike = [k for k in range(others[-1] if others else 0) if states[k] == states[-1]]
-    return acts[alike[-1]][0] if alike else 0
+    held: dict[int, bool] = {}
+    steps = []
+    for at, number, is_in_force in sorted(acts, key=lambda act: act[0]):
+        steps.append((at, number, held.get(number, False)))
+        held[number] = is_in_force
+    others, were_others = set[int](), False
+    for at, number, was_in_force in reversed(steps):
+        (others.discard if was_in_force == held[number] else others.add)(number)
+        if were_others and not others:
+            return at
+        were_others = were_others or bool(others)
+    return 0
 
 
 def _list_before(stores: Stores, pieces: Sequence[KeptPiece], changes: Sequence[KeptChange]) -> dict[TellKey, Told]:
