@@ -313,13 +313,13 @@ def judge(rows: Sequence[Row]) -> list[Found]:
             told = [row["pulls"][f"{name}_{when}"] for row in rows]
             within = np.array([np.mean(np.abs(one) < 2.0) for one in told if one is not None])
             found.append(mean_of(f"{name}_{when}", within))
-    single = [row["station"] for row in rows if row["who"] != "station" and row["station"] is not None]
+    single = [row for row in rows if row["who"] != "station" and row["station"] is not None]
     matched = [(row["planted"][one[3]], one) for row in rows for one in row["found"] if one[3] is not None]
     dated = [abs(one[1] - move[1]) < 2 * one[2] for move, one in matched if one[0] and move[0] not in ("dead", *SLOW)]
     return [
         *found,
         rate_of("answered", sum(None not in row["pulls"].values() for row in rows), len(rows)),
-        rate_of("mean", sum(np.abs(one).max() < STILL for one in single), len(single)),
+        *_still(single),
         rate_of("dates", sum(dated), len(dated)),
         rate_of("unplanted", sum(any(one[3] is None for one in row["found"]) for row in rows), len(rows)),
     ]
@@ -331,14 +331,15 @@ def judge_means(rows: Sequence[Row]) -> list[Found]:
     An antenna that is dead for a year takes its events with it: in four, 0.4 sigma by chance alone.
     """
     told = [row for row in rows if len(row["station"]) == 2]
-    still = {row["seed"]: bool(np.abs(row["station"]).max() < STILL) for row in told}
     unplanted = [any(one[3] is None for one in row["found"]) for row in rows if row["kind"] != "several"]
+    return [*_still(told), rate_of("unplanted_one", sum(unplanted), len(unplanted))]
+
+
+def _still(rows: Sequence[Row]) -> list[Found]:
+    """How often C of the station stays within `STILL`, by what single antennas do."""
     kinds = {"mean": {*SINGLE} - {"dead"}, "mean_several": {"several"}, "mean_dead": {"dead"}}
-    groups = {key: [still[row["seed"]] for row in told if row["kind"] in of] for key, of in kinds.items()}
-    return [
-        *(rate_of(key, sum(of), len(of)) for key, of in groups.items()),
-        rate_of("unplanted_one", sum(unplanted), len(unplanted)),
-    ]
+    groups = {key: [row for row in rows if row["kind"] in of] for key, of in kinds.items()}
+    return [rate_of(key, sum(np.abs(r["station"]).max() < STILL for r in of), len(of)) for key, of in groups.items()]
 
 
 PARTS = (
