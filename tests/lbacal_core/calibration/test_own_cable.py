@@ -165,6 +165,16 @@ def test_a_channel_without_sight_of_the_spread_has_that_of_the_band():
     assert np.all(found > 0.03)
 
 
+@pytest.mark.parametrize("slope", [0.0, 1.0])
+def test_the_spread_of_a_channel_is_not_too_large_on_average_and_follows_the_band(slope):
+    """The larger of its own and the band's was taken: of ten paths 10 % too large on average."""
+    rng, true = np.random.default_rng(9), 0.1 * np.exp(slope * np.linspace(-1.0, 1.0, 51))
+    sigma = np.full((10, 51), 0.03)
+    found = [fit_random_effect(rng.normal(size=(10, 51)) * np.hypot(true, sigma), sigma).spread for _ in range(100)]
+    np.testing.assert_allclose(np.sqrt(np.mean(np.square(found), axis=0)), true, rtol=0.05 if slope == 0.0 else 0.25)
+    assert abs(np.sqrt(np.mean(np.square(found) / true**2)) - 1.0) < (0.03 if slope == 0.0 else 0.1)
+
+
 def test_two_paths_say_nothing_and_a_cable_with_two_has_the_spread_of_all():
     rng = np.random.default_rng(3)
     assert measure(draw_paths(rng, paths=2)) is None
