@@ -193,7 +193,7 @@ def _fit_calmly_in(folder: Path, spectra: Spectra) -> InEffect:
         paths = select_paths(factory.instrument, None, None, None)
         for date in DATES:
             for curve in factory.calibrations.in_effect(parse_instant("date", date), paths).curves:
-                path = curve.told.curve
+                path = curve.served.curve
                 key = (date, str(path.station), str(path.antenna), str(path.dipole))
                 found[key] = Told(str(curve.promotion.calibration), _floats(path.c), _floats(path.c_sigma_stat))
     return found

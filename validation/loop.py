@@ -191,7 +191,7 @@ class Service:
         except NotInEffectError:
             return []
         return [
-            (one.promotion.calibration, one.told.curve.c.tobytes() if one.told.curve.c is not None else None)
+            (one.promotion.calibration, one.served.curve.c.tobytes() if one.served.curve.c is not None else None)
             for one in answer.curves
         ]
 

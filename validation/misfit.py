@@ -92,7 +92,7 @@ def fit_clean(seed: int) -> Row:
     level, shape = np.random.default_rng([13_07, seed]).normal(size=2)
     gain = instrument.gain_provenance
     if gain is None or gain.shape_error is None:
-        raise BadInputError("the error of the shape of G_ant is drawn: an instrument with one is needed")
+        raise BadInputError("instrument", "an error of the shape of G_ant, which is drawn", "none")
     true = replace(instrument, antenna_gain=instrument.antenna_gain * np.exp(shape * gain.shape_error))
     power = world.sky_power(instrument)
     power = replace(power, power={name: np.exp(LEVEL * level) * one for name, one in power.power.items()})

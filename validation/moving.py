@@ -269,7 +269,7 @@ def _enter(factory: Factory, move: Moved) -> None:
 def _ask(factory: Factory, path: Scope, at: float) -> tuple[Floats, Floats] | None:
     """C in effect and its statistical error."""
     try:
-        return _values(factory.calibrations.in_effect(round(at * 1e6), [path]).curves[0].told.curve)
+        return _values(factory.calibrations.in_effect(round(at * 1e6), [path]).curves[0].served.curve)
     except NotInEffectError:
         return None
 

@@ -16,7 +16,7 @@ from functools import partial
 import numpy as np
 
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.calibration.spreads import ToldCurve, carry_to_path
+from lbacal_core.calibration.spreads import ServedCurve, carry_to_path
 from lbacal_core.curves.curves import UNCERTAIN, CalibrationCurve, FitReport
 from lbacal_core.data.lofar import DIPOLES
 from lbacal_core.simulation.simulation import Simulation
@@ -68,15 +68,15 @@ def compare_scopes(reports: Mapping[str, FitReport], campaign: Campaign, silent:
 
 def _compare(report: FitReport, campaign: Campaign, stations: Sequence[str]) -> Row:
     """How often the truth lies within the error told, by cable and altogether."""
-    told, truths = zip(*_tell(report, campaign, stations), strict=True)
-    c = np.array([one.curve.c for one in told])
-    sigma = np.array([total_error(one.curve) for one in told])
+    served, truths = zip(*_tell(report, campaign, stations), strict=True)
+    c = np.array([one.curve.c for one in served])
+    sigma = np.array([total_error(one.curve) for one in served])
     fraction, told_error = c / np.array(truths) - 1.0, sigma / c
     pull = np.abs(c - np.array(truths)) / sigma
     has_value = np.isfinite(pull)
-    row: Row = {"uncertain": float(np.mean([one.flag == UNCERTAIN for one in told]))}
+    row: Row = {"uncertain": float(np.mean([one.flag == UNCERTAIN for one in served]))}
     for cable in ("all", *CABLES):
-        rows = np.array([cable in ("all", one.cable) for one in told])
+        rows = np.array([cable in ("all", one.cable) for one in served])
         at = has_value & rows[:, None]
         row[cable] = {
             "paths": int(rows.sum()),
@@ -96,7 +96,7 @@ def total_error(curve: CalibrationCurve) -> np.ndarray:
     return np.asarray(np.sqrt(np.sum(np.square(errors), axis=0)))
 
 
-def _tell(report: FitReport, campaign: Campaign, stations: Sequence[str]) -> Iterator[tuple[ToldCurve, np.ndarray]]:
+def _tell(report: FitReport, campaign: Campaign, stations: Sequence[str]) -> Iterator[tuple[ServedCurve, np.ndarray]]:
     """What every path of some stations is told by the curves of one scope, and the truth."""
     curves = {
         curve.path: (curve, chain)
@@ -109,8 +109,8 @@ def _tell(report: FitReport, campaign: Campaign, stations: Sequence[str]) -> Ite
                 keys = [(one.station, antenna, dipole), (one.station, None, dipole), (None, None, dipole)]
                 found = next((curves[key] for key in keys if key in curves), None)
                 if found is not None:
-                    told = carry_to_path(*found, one.station, antenna, dipole, SETTINGS.start_unix)
-                    yield told, campaign.truth.curve(dipole, one.station, antenna)
+                    served = carry_to_path(*found, one.station, antenna, dipole, SETTINGS.start_unix)
+                    yield served, campaign.truth.curve(dipole, one.station, antenna)
 
 
 def judge(rows: Sequence[Row]) -> list[Found]:

@@ -1,6 +1,6 @@
 """C that goes on changing: at a rate from a date on, or with the season, beside the mean that a fit gives.
 
-A fit gives the mean of ln C over its events. Where C is known to follow the date, what is told at an instant is that
+A fit gives the mean of ln C over its events. Where C is known to follow the date, what is served at an instant is that
 mean times exp(d(t) - <d>): d is the slow change of ln C, and <d> its mean from the first event of the fit to the last,
 as if events lay evenly between them.
 """
@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.polynomial import legendre
 
-from lbacal_core.calibration.spreads import ToldCurve
+from lbacal_core.calibration.spreads import ServedCurve
 from lbacal_core.grids import Floats
 
 YEAR_S = 365.25 * 86_400.0
@@ -62,8 +62,8 @@ def spread_over_band(modes: Sequence[float], frequency_mhz: Floats) -> Floats:
 
 
 def follow_slow_changes(
-    told: ToldCurve, slow: Iterable[SlowChange], time_unix: float, window_unix: tuple[float, float]
-) -> ToldCurve:
+    served: ServedCurve, slow: Iterable[SlowChange], time_unix: float, window_unix: tuple[float, float]
+) -> ServedCurve:
     """Carry a curve along the slow changes of its path to an instant.
 
     The error of each, in size and date, is one more systematic term of the curve.
@@ -76,18 +76,20 @@ def follow_slow_changes(
         The window of the fit, for a curve of which nobody kept the first and the last event.
     """
     for one in slow:
-        curve, span = told.curve, told.curve.span_unix or window_unix
+        curve, span = served.curve, served.curve.span_unix or window_unix
         moved, late = one.depart(time_unix, span), one.date_sigma_s
         of_date = (one.depart(time_unix, span, late) - one.depart(time_unix, span, -late)) / 2.0
         factor = np.exp(moved * spread_over_band((one.size, *one.shape), curve.frequency_mhz))
         error = float(np.hypot(one.sigma * moved, one.size * of_date))
         if curve.c is None or curve.c_sigma_stat is None:
-            return told
+            return served
         c, sys, covariance = curve.c * factor, curve.c_sigma_sys, curve.covariance
         carried = replace(
             curve, c=c, c_sigma_stat=curve.c_sigma_stat * factor,
             c_sigma_sys=None if sys is None else c * np.hypot(sys / curve.c, error),
             covariance=None if covariance is None else covariance.with_own(np.full_like(c, error)),
         )  # fmt: skip
-        told = replace(told, curve=carried, factor=told.factor * factor, error=float(np.hypot(told.error, error)))
-    return told
+        served = replace(
+            served, curve=carried, factor=served.factor * factor, error=float(np.hypot(served.error, error))
+        )
+    return served

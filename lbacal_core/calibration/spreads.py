@@ -63,8 +63,8 @@ def measure_spreads(paths: SinglePaths, reference_slope: Floats, mean_loss: Floa
     reference_slope, mean_loss
         s_ref and L_ref of the reference chain, shape (freq,).
     """
-    told = reference_slope * paths.loss / mean_loss
-    departure, sigma = paths.slope / told - 1.0, paths.sigma / told
+    served = reference_slope * paths.loss / mean_loss
+    departure, sigma = paths.slope / served - 1.0, paths.sigma / served
     everything = np.ones(len(paths.cables), dtype=bool)
     all_paths = _spread_of(departure, sigma, everything)
     if all_paths is None:
@@ -172,7 +172,7 @@ def _mean_with(
 
 
 @dataclass(frozen=True)
-class ToldCurve:
+class ServedCurve:
     """A curve as a path is served it.
 
     Attributes
@@ -204,7 +204,7 @@ def carry_to_path(
     antenna: int,
     dipole: str,
     time_unix: float,
-) -> ToldCurve:
+) -> ServedCurve:
     """Carry a curve through the cable that a path has at an instant: C_path = C (L_ref / L_path)^1/2.
 
     Half the root mean square departure of A g among paths with that cable, as a fraction of C, is added to
@@ -224,23 +224,23 @@ def carry_to_path(
     ones = np.ones_like(curve.frequency_mhz)
     if chain is None:
         reason = None if is_own else "the cables behind this curve are not known: it is that of a mean of paths"
-        return ToldCurve(named, ones, None, OK if is_own else UNCERTAIN, reason)
+        return ServedCurve(named, ones, None, OK if is_own else UNCERTAIN, reason)
     cable = chain.cables.cable_of(station, antenna, time_unix)
     if cable is None:
         when = np.datetime64(round(time_unix), "s").astype("datetime64[D]")
-        return ToldCurve(named, ones, None, UNCERTAIN, f"no cable of {path} is on record at {when}")
+        return ServedCurve(named, ones, None, UNCERTAIN, f"no cable of {path} is on record at {when}")
     if is_own and np.array_equal(chain.cables.cables[cable], chain.mean_loss):
-        return ToldCurve(named, ones, cable, OK, None)
+        return ServedCurve(named, ones, cable, OK, None)
     factor = np.sqrt(chain.mean_loss / chain.cables.cables[cable])
     variance, reason = _departure(chain, station, cable, is_own=is_own)
-    told = _scaled(named, factor, variance)
+    served = _scaled(named, factor, variance)
     reasons = [text for text in (reason, chain.doubt) if text]
-    return ToldCurve(told, factor, cable, UNCERTAIN if reasons else OK, "; ".join(reasons) or None)
+    return ServedCurve(served, factor, cable, UNCERTAIN if reasons else OK, "; ".join(reasons) or None)
 
 
-def tell_reference(curve: CalibrationCurve) -> ToldCurve:
+def serve_reference(curve: CalibrationCurve) -> ServedCurve:
     """A curve as that of its reference chain, which is nobody's cable."""
-    return ToldCurve(curve, np.ones_like(curve.frequency_mhz), None, OK, None)
+    return ServedCurve(curve, np.ones_like(curve.frequency_mhz), None, OK, None)
 
 
 def _departure(chain: ReferenceChain, station: str, cable: str, *, is_own: bool) -> tuple[Floats | None, str | None]:

@@ -197,25 +197,25 @@ def _join(head: bytes, written: WrittenAnswer) -> Iterator[bytes]:
 
 
 def _write_curve(curve: CurveInEffect) -> WrittenCurve:
-    covariance = curve.told.curve.covariance
+    covariance = curve.served.curve.covariance
     return WrittenCurve(to_json(_describe_curve(curve)), None if covariance is None else covariance.budget)
 
 
 def _describe_curve(curve: CurveInEffect) -> dict[str, Any]:
     """A curve as in fit.json, as the path is served it, with the version and the scope that answered."""
-    told, chain, promotion = curve.told, curve.chain, curve.promotion
+    served, chain, promotion = curve.served, curve.chain, curve.promotion
     held = "held: nothing is in effect, the nearest in time answers" if curve.is_held else None
-    reasons = [text for text in (held, curve.changed, told.reason) if text]
+    reasons = [text for text in (held, curve.changed, served.reason) if text]
     return {
-        **told.curve.as_dict(),
+        **served.curve.as_dict(),
         "calibration": promotion.calibration,
         "answered_by": promotion.scope.level,
-        "factor": told.factor.tolist(),
-        "factor_sigma": told.error,
-        "flag": [UNCERTAIN if reasons and flag == OK else flag for flag in told.curve.flags.tolist()],
+        "factor": served.factor.tolist(),
+        "factor_sigma": served.error,
+        "flag": [UNCERTAIN if reasons and flag == OK else flag for flag in served.curve.flags.tolist()],
         "flag_reason": "; ".join(reasons) or None,
         "reference": None if chain is None else fill_answer(
-            wire.ReferenceAnswer, chain, paths=len(chain.members), cable=told.cable, cables=chain.cables.digest,
+            wire.ReferenceAnswer, chain, paths=len(chain.members), cable=served.cable, cables=chain.cables.digest,
             spreads=None if chain.spreads is None else chain.spreads.digest,
         ),
         "valid": answers.describe_stretch(promotion.valid_from, promotion.valid_to),

@@ -171,7 +171,7 @@ def _find_stations(use: Factory, at: Instant) -> list[tuple[str, list[Calibratio
     except NotInEffectError:
         return []
     own = (curve for curve in found.curves if curve.promotion.scope.station is not None)
-    curves = [(curve.path.station or "", curve.told.curve) for curve in own]
+    curves = [(curve.path.station or "", curve.served.curve) for curve in own]
     return [(name, [curve for _, curve in of]) for name, of in groupby(curves, key=lambda pair: pair[0])]
 
 
@@ -338,7 +338,7 @@ def show_path(
 
 def _draw_date(use: Factory, path: Scope, found: CurveInEffect) -> dict[str, Chart | None]:
     """What is known of a path on a date: C beside its predecessor, the noise in kelvin, the fit over sidereal time."""
-    curve, name, before = found.told.curve, name_path(*path.parts), _find_predecessor(use, found)
+    curve, name, before = found.served.curve, name_path(*path.parts), _find_predecessor(use, found)
     others = _published(use) | ({} if before is None else {"before it": (before.frequency_mhz, before.c)})
     drawn: dict[str, Chart | None] = {
         "curve": draw_curves(f"C of {name} on {format_instant(found.at)[:10]}", [curve], others),
@@ -366,7 +366,7 @@ def _find_predecessor(use: Factory, found: CurveInEffect) -> CalibrationCurve | 
         before = use.calibrations.in_effect(found.promotion.valid_from - 1, [found.path]).curves[0]
     except NotInEffectError:
         return None
-    return before.told.curve if before.told.curve.c is not None else None
+    return before.served.curve if before.served.curve.c is not None else None
 
 
 # A version, two versions, a finding.

@@ -117,11 +117,11 @@ class SumStore(Store):
         return list(self._connection.execute(statement).scalars())
 
 
-# A fit: its lines, and what each of its scopes is told.
+# A fit: its lines, and what each of its scopes is served.
 
 
 @dataclass(frozen=True)
-class Told:
+class Served:
     """The curves that a scope is served after a fit: the version, whether it is in effect, and its curves.
 
     `curves` holds C and its statistical error by dipole, shape (freq,) each; none where the version has no C.
@@ -142,18 +142,18 @@ class KeptPiece:
     since: Instant
     until: Instant
     lines: Sequence[KeptLines]
-    told: Sequence[Told] = ()
+    served: Sequence[Served] = ()
 
 
 def write_pieces(pieces: Sequence[KeptPiece]) -> dict[str, Any]:
     """Write the pieces of a fit as arrays by name."""
     head, arrays = [], dict[str, Any]()
     for k, piece in enumerate(pieces):
-        told = [
-            [one.scope.key, one.calibration, one.is_in_effect, sorted(one.curves), one.changes] for one in piece.told
+        served = [
+            [one.scope.key, one.calibration, one.is_in_effect, sorted(one.curves), one.changes] for one in piece.served
         ]
-        head.append([piece.since, piece.until, told])
-        arrays[f"{k}.told"] = np.array([one.curves[dipole] for one in piece.told for dipole in sorted(one.curves)])
+        head.append([piece.since, piece.until, served])
+        arrays[f"{k}.told"] = np.array([one.curves[dipole] for one in piece.served for dipole in sorted(one.curves)])
         arrays |= {f"{k}.{name}": values for name, values in write_lines(piece.lines).items()}
     return {"pieces": np.array(json.dumps(head)), **arrays}
 
@@ -174,10 +174,10 @@ def read_pieces(arrays: Mapping[str, Any]) -> list[KeptPiece]:
     pieces = []
     for k, (since, until, listed) in enumerate(json.loads(str(arrays["pieces"]))):
         curves = iter(arrays[f"{k}.told"])
-        told = [
-            Told(parse_scope(key), calibration, is_in_effect, {of: tuple(next(curves)) for of in dipoles}, *changes)
+        served = [
+            Served(parse_scope(key), calibration, is_in_effect, {of: tuple(next(curves)) for of in dipoles}, *changes)
             for key, calibration, is_in_effect, dipoles, *changes in listed
         ]
         own = {name.removeprefix(f"{k}."): values for name, values in arrays.items() if name.startswith(f"{k}.")}
-        pieces.append(KeptPiece(since, until, read_lines(own), told))
+        pieces.append(KeptPiece(since, until, read_lines(own), served))
     return pieces

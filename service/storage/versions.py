@@ -13,7 +13,7 @@ import numpy as np
 from sqlalchemy import ColumnElement, Connection, Row, and_, func, or_, select
 
 from lbacal.instants import SECOND_US
-from lbacal_core.calibration.spreads import ToldCurve, carry_to_path
+from lbacal_core.calibration.spreads import ServedCurve, carry_to_path
 from lbacal_core.curves.covariance import Budget
 from lbacal_core.curves.curves import MISFIT, NONE, STATUSES, Anomalies, CalibrationCurve, parse_anomalies, parse_curve
 from lbacal_core.curves.reference_chain import CableTable, GainSpreads, ReferenceChain, parse_cable_table, parse_spreads
@@ -185,7 +185,7 @@ class Version:
         seconds = instant / SECOND_US
         return None if chain is None else chain.cables.cable_of(str(path.station), int(str(path.antenna)), seconds)
 
-    def tell(self, path: Scope, instant: Instant) -> ToldCurve:
+    def serve(self, path: Scope, instant: Instant) -> ServedCurve:
         """The curve as a path is served it, through the cable that the path has at an instant."""
         station, antenna, dipole = str(path.station), int(str(path.antenna)), str(path.dipole)
         return carry_to_path(

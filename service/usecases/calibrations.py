@@ -10,7 +10,7 @@ from functools import cached_property
 
 from lbacal.instants import DAY_US, SECOND_US, format_instant
 from lbacal_core.calibration.slow_changes import follow_slow_changes
-from lbacal_core.calibration.spreads import ToldCurve, tell_reference
+from lbacal_core.calibration.spreads import ServedCurve, serve_reference
 from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.curves.validity import Instant, Promotion, Scope
 from lbacal_core.errors import BadInputError, name_path, require_name
@@ -33,7 +33,7 @@ WHOLE_REMEMBERED = 2
 State = tuple[int, Instant | None, tuple[KeptChange, ...]]
 """The newest promotion, the latest instant of the ledger, the changes on record: what is in effect follows."""
 SLOW_STEP_US = 10 * DAY_US
-"""C along a ramp or season is told for the middle of so long a time: what is cached stays true in it, and five days of
+"""C along a ramp or season is served for the middle of so long a time: what is cached stays true in it, and five days of
 a season are 9 % of its amplitude."""
 
 
@@ -76,11 +76,11 @@ class CurveInEffect:
     at: Instant = field(compare=False)
 
     @property
-    def told(self) -> ToldCurve:
+    def served(self) -> ServedCurve:
         """The curve through the path's own cable, that of a reference chain as it is, along what changes slowly."""
         is_chain, version = self.path.antenna is None, self.version
-        told = tell_reference(version.curve_of(str(self.dipole))) if is_chain else version.tell(self.path, self.at)
-        return told if self.followed_at is None else follow(told, version, self.slow, self.followed_at)
+        served = serve_reference(version.curve_of(str(self.dipole))) if is_chain else version.serve(self.path, self.at)
+        return served if self.followed_at is None else follow(served, version, self.slow, self.followed_at)
 
     @property
     def chain(self) -> ReferenceChain | None:
@@ -91,9 +91,9 @@ class CurveInEffect:
     @property
     def why(self) -> str:
         """Why it is this version: for what it was made and put into effect, and between which changes."""
-        made, acted, epoch, told = self.version, self.promotion, self.epoch, self.told
+        made, acted, epoch, served = self.version, self.promotion, self.epoch, self.served
         named = " and ".join(f"change {one.number} ({one.change.kind})" for one in self.slow)
-        followed = f"; C follows {named}, which adds an error of {100.0 * told.error:.2f} %" if named else ""
+        followed = f"; C follows {named}, which adds an error of {100.0 * served.error:.2f} %" if named else ""
         ends = [
             f"change {number} of {format_instant(date)[:10]} {does} its epoch"
             for number, date, does in ((epoch.because, epoch.start, "begins"), (epoch.ended_by, epoch.end, "ends"))
@@ -256,15 +256,15 @@ class Calibrations:
             is_held = promotion == held.get(path)
             changed, epoch = _find_change(promotion, of_antenna), _find_epoch(path, at, of_antenna)
             slow = find_slow(promotion.scope, of_antenna)
-            told, step = (promotion, is_held, trace), at // SLOW_STEP_US
+            served, step = (promotion, is_held, trace), at // SLOW_STEP_US
             followed = slow, step * SLOW_STEP_US + SLOW_STEP_US // 2 if slow else None
             if path.antenna is None:
                 for curve in version.curves:
-                    yield CurveInEffect(path, curve.dipole, *told, None, None, None, epoch, *followed, version, at)
+                    yield CurveInEffect(path, curve.dipole, *served, None, None, None, epoch, *followed, version, at)
                 return
             cable = version.cable_of(path, at)
             unknown = at if cable is None and str(path.dipole) in version.chains else None
-            yield CurveInEffect(path, path.dipole, *told, cable, unknown, changed, epoch, *followed, version, at)
+            yield CurveInEffect(path, path.dipole, *served, cable, unknown, changed, epoch, *followed, version, at)
 
         curves = [curve for path in paths if path in answers for curve in list_curves(path, answers[path])]
         return InEffect(at, curves, [path for path in paths if path not in answers], budgets)
@@ -285,8 +285,8 @@ class Calibrations:
             decisive = _pick_decisive(asked)
             missing = [path for path in paths if path not in decisive]
             # without `hold` the sentence names the neighbours of one path only
-            told = missing if hold else missing[:1]
-            found = stores.ledger.neighbours({path: path.widening for path in told}, at, as_of)
+            served = missing if hold else missing[:1]
+            found = stores.ledger.neighbours({path: path.widening for path in served}, at, as_of)
         near = {path: _nearest(found[path], at) for path in missing} if hold else {}
         held = {path: promotion for path, promotion in near.items() if promotion is not None}
         if missing and not decisive and not held:
@@ -363,10 +363,10 @@ def find_slow(scope: Scope, of_antenna: ByAntenna) -> tuple[KeptChange, ...]:
     return tuple({(one.change.kind, one.change.station, not one.change.paths): one for one in own}.values())
 
 
-def follow(told: ToldCurve, version: Version, slow: Iterable[KeptChange], at: Instant) -> ToldCurve:
+def follow(served: ServedCurve, version: Version, slow: Iterable[KeptChange], at: Instant) -> ServedCurve:
     """A curve of a version carried along slow changes to an instant."""
     since, until = (one / SECOND_US for one in version.window)
-    return follow_slow_changes(told, [one.slow for one in slow if one.slow], at / SECOND_US, (since, until))
+    return follow_slow_changes(served, [one.slow for one in slow if one.slow], at / SECOND_US, (since, until))
 
 
 def _pick_decisive(asked: Mapping[Scope, Sequence[Promotion]]) -> dict[Scope, Promotion]:

@@ -144,7 +144,7 @@ class Changes:
         versions = stores.versions.get_many({str(one.calibration) for one in told.values()})
         for path, said in told.items():
             version = versions[str(said.calibration)]
-            was, now = (follow(version.tell(path, at), version, find_slow(said.scope, of), at) for of in groups)
+            was, now = (follow(version.serve(path, at), version, find_slow(said.scope, of), at) for of in groups)
             change = compare_curves(was.curve, now.curve)
             yield ChangeOfC(path, said.valid_from, said.valid_to, version.id, version.id, change)
 

@@ -40,7 +40,7 @@ from service.errors import ConflictError
 from service.storage.changes import Cut
 from service.storage.database import Stores
 from service.storage.spectra import Window
-from service.storage.sums import KeptPiece, Sums, Told, name_pieces, read_pieces, write_pieces
+from service.storage.sums import KeptPiece, Served, Sums, name_pieces, read_pieces, write_pieces
 from service.storage.versions import BEHIND, BUDGET, Examined, Version
 from service.usecases.drift import year_of
 from service.usecases.orders import hash_covariates
@@ -235,7 +235,7 @@ class Fits:
 
     def examine(
         self, pieces: Sequence[KeptPiece], spectra: Spectra | None, neighbours: Neighbours,
-        before: Mapping[TellKey, Told],
+        before: Mapping[ServedKey, Served],
     ) -> Outcome | None:  # fmt: skip
         """Look at later events of a kept fit, and at other windows; None where the whole window is to be read.
 
@@ -243,7 +243,7 @@ class Fits:
         """
         examined, rest, made = list[Examined](), list[Scope](), self.clock()
         names = [None if spectra is None else spectra.digest()]
-        pieces = [one for one in pieces if one.told]
+        pieces = [one for one in pieces if one.served]
         seen = np.zeros(0 if spectra is None else len(spectra), dtype=bool)
         for piece in pieces:
             rows = seen if spectra is None else _rows_of_piece(piece, spectra)
@@ -254,20 +254,22 @@ class Fits:
                 simulation = self.simulation if own is None else self.simulation.smeared(own)
                 ends = piece.since / SECOND_US, (piece.until - 1) / SECOND_US
                 continued = continue_fit(piece.lines, own, simulation, [one for _, one in beside], ends)
-            for told in piece.told:
-                shift = _find_shift(told, continued)
-                if shift is None and not told.curves:
+            for served in piece.served:
+                shift = _find_shift(served, continued)
+                if shift is None and not served.curves:
                     return None
                 # the mean of all stations would be read anew for a change of one antenna
-                is_other = told.scope != Scope() and told.changes not in (None, neighbours.changes_of(told.scope))
-                was = before.get((told.scope, piece.since, piece.until))
+                is_other = served.scope != Scope() and served.changes not in (None, neighbours.changes_of(served.scope))
+                was = before.get((served.scope, piece.since, piece.until))
                 of_before = None if was is None else _find_shift(was, continued)
                 is_again = of_before is not None and of_before < SMALLEST_SHIFT
                 if shift is None or shift >= SMALLEST_SHIFT or is_other or is_again:
-                    rest.append(told.scope)
+                    rest.append(served.scope)
                     continue
-                inputs = hash_content([told.calibration, *names, name_windows(told.scope, beside)])
-                examined.append(Examined(told.scope, piece.since, piece.until, inputs, told.calibration, shift, made))
+                inputs = hash_content([served.calibration, *names, name_windows(served.scope, beside)])
+                examined.append(
+                    Examined(served.scope, piece.since, piece.until, inputs, served.calibration, shift, made)
+                )
             neighbours = neighbours.and_also(piece)
         is_whole = len(pieces) == 1 and all(scope.antenna is not None for scope in rest)
         is_few = not rest or (is_whole and len(rest) <= LARGEST_REST * (len(rest) + len(examined)))
@@ -474,17 +476,17 @@ def _versions(
 
 def _explain_repeated(curves: Sequence[CalibrationCurve]) -> list[str]:
     """What a window takes from others beyond the noise constants, or why it takes nothing."""
-    told = []
+    served = []
     for curve in curves:
         found = curve.repeated
         if found is not None and found.windows == 1:
             words = f"chi^2 per degree of freedom {found.chi2_per_dof:.2f}"
-            told.append(f"{curve.dipole} is fitted by itself: it does not repeat what other windows say ({words})")
+            served.append(f"{curve.dipole} is fitted by itself: it does not repeat what other windows say ({words})")
         elif found is not None and curve.events < MIN_EVENTS:
-            told.append(
+            served.append(
                 f"too few events for a fit: C of {curve.dipole} is that of other windows, with a gain of its own"
             )
-    return told
+    return served
 
 
 def _list_cuts(wanted: Wanted) -> dict[tuple[str, int | None], list[float]]:
@@ -519,7 +521,7 @@ def read_fits(stores: Stores, station: str | None) -> FitOf:
 
 # Due refits that read only the events that came since: the fit that is kept is continued by them.
 #
-# Where C then differs too little from what a scope is told, nothing is written but that the events were examined. The
+# Where C then differs too little from what a scope is served, nothing is written but that the events were examined. The
 # few paths of a station of which that cannot be said are fitted from their own spectra. The whole window is read where
 # more than these changed: flags, late spectra of events that were there, other inputs, models with causes, promotions
 # since.
@@ -530,8 +532,8 @@ LARGEST_REST = 0.5
 """Share of the paths of a station from which on the window is read whole."""
 
 
-TellKey = tuple[Scope, Instant, Instant]
-"""Who is told something, from when until when."""
+ServedKey = tuple[Scope, Instant, Instant]
+"""Who is served something, from when until when."""
 
 
 @dataclass(frozen=True)
@@ -557,30 +559,30 @@ def read_block(stores: Stores, kind: str, window: Window, inputs: str, of: Scope
     return Sums(kind, of, window.since, window.until, inputs, spectra, flag, event, spectra, {})
 
 
-def is_still_told(stores: Stores, pieces: Sequence[KeptPiece]) -> bool:
+def is_still_served(stores: Stores, pieces: Sequence[KeptPiece]) -> bool:
     """Whether what is in effect is what was when a fit was kept."""
     for piece in pieces:
-        standing = find_standing(stores, [told.scope for told in piece.told], piece.since, piece.until)
-        if any(standing.get(one.scope) != (one.calibration if one.is_in_effect else None) for one in piece.told):
+        standing = find_standing(stores, [served.scope for served in piece.served], piece.since, piece.until)
+        if any(standing.get(one.scope) != (one.calibration if one.is_in_effect else None) for one in piece.served):
             return False
     return True
 
 
-def keep_fit(stores: Stores, block: Sums, made: Made, told: Mapping[TellKey, Told]) -> None:
+def keep_fit(stores: Stores, block: Sums, made: Made, served: Mapping[ServedKey, Served]) -> None:
     """Keep a fit in its block, where the chain alone was fitted."""
     if made.pieces:
         pieces = [
-            replace(one, told=[told[scope, one.since, one.until] for scope in _list_scopes(one.lines)])
+            replace(one, served=[served[scope, one.since, one.until] for scope in _list_scopes(one.lines)])
             for one in made.pieces
         ]
         stores.sums.put(replace(block, arrays=write_pieces(pieces)), name_pieces(pieces))
 
 
-def keep_told(
+def keep_served(
     stores: Stores,
     block: Sums,
     pieces: Sequence[KeptPiece],
-    told: Mapping[TellKey, Told],
+    served: Mapping[ServedKey, Served],
     renewed: Sequence[KeptPiece],
 ) -> None:
     """Keep the curves that some scopes are served since, and what their paths lend to other windows since.
@@ -591,14 +593,14 @@ def keep_told(
     now = [
         replace(
             piece,
-            told=[told.get((one.scope, piece.since, piece.until), one) for one in piece.told],
+            served=[served.get((one.scope, piece.since, piece.until), one) for one in piece.served],
             lines=[
                 one.lend({owner for owner, is_good in zip(one.owners, one.is_good, strict=True) if is_good} - own)
                 for one in piece.lines
             ],
         )
         for piece in pieces
-        if piece.told or own.isdisjoint(owner for one in piece.lines for owner in one.owners)
+        if piece.served or own.isdisjoint(owner for one in piece.lines for owner in one.owners)
     ]
     now += renewed
     stores.sums.put(replace(block, arrays=write_pieces(now)), name_pieces(now))
@@ -613,14 +615,14 @@ def find_standing(stores: Stores, scopes: Sequence[Scope], since: Instant, until
     return {scope: name for scope, (name, *others) in names.items() if name is not None and not others}
 
 
-def tell(version: Version, changes: Sequence[Instant], *, is_in_effect: bool) -> Told:
+def read_served(version: Version, changes: Sequence[Instant], *, is_in_effect: bool) -> Served:
     """Read the curves that a scope is served after a fit."""
     curves: Mapping[str, tuple[Floats, Floats]] = {
         str(curve.dipole): (curve.c, curve.c_sigma_stat)
         for curve in version.curves
         if curve.c is not None and curve.c_sigma_stat is not None
     }
-    return Told(version.scope, version.id, is_in_effect, curves, changes)
+    return Served(version.scope, version.id, is_in_effect, curves, changes)
 
 
 def _rows_of_piece(piece: KeptPiece, spectra: Spectra) -> NDArray[np.bool_]:
@@ -638,24 +640,24 @@ def _list_scopes(lines: Sequence[KeptLines]) -> list[Scope]:
     return list(dict.fromkeys(scope_of(owner) for one in lines for owner in one.owners))
 
 
-def _find_shift(told: Told, continued: Continued) -> float | None:
+def _find_shift(served: Served, continued: Continued) -> float | None:
     """By how much C may differ from what is served, in standard deviations: the largest of any channel that has both.
 
     None where that is not decided, or where one of them has a curve that the other lacks.
     """
-    dipoles = [told.scope.dipole] if told.scope.dipole is not None else _list_dipoles(told, continued)
-    owners = {dipole: (told.scope.station, told.scope.antenna, dipole) for dipole in dipoles}
+    dipoles = [served.scope.dipole] if served.scope.dipole is not None else _list_dipoles(served, continued)
+    owners = {dipole: (served.scope.station, served.scope.antenna, dipole) for dipole in dipoles}
     own = {dipole: continued.curves[owner] for dipole, owner in owners.items() if owner in continued.curves}
-    if own.keys() != told.curves.keys() or continued.undecided & set(owners.values()):
+    if own.keys() != served.curves.keys() or continued.undecided & set(owners.values()):
         return None
     shifts = [
         np.nanmax(np.abs(own[dipole][0] - c) / np.fmin(own[dipole][1], sigma)) + own[dipole][2]
-        for dipole, (c, sigma) in told.curves.items()
+        for dipole, (c, sigma) in served.curves.items()
     ]
     return float(max(shifts, default=0.0))
 
 
-def _list_dipoles(told: Told, continued: Continued) -> list[str]:
+def _list_dipoles(served: Served, continued: Continued) -> list[str]:
     """The dipoles of which a mean has curves."""
-    parts = told.scope.station, told.scope.antenna
+    parts = served.scope.station, served.scope.antenna
     return sorted({dipole for *own, dipole in (*continued.curves, *continued.undecided) if tuple(own) == parts})

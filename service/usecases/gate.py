@@ -83,7 +83,7 @@ def compare_versions(first: Version, second: Version) -> list[tuple[str | None, 
         if path is None:
             before, after = (through_common_cable(version, str(curve.dipole)) for version in (first, second))
         else:
-            before, after = (version.tell(path, sum(version.window) // 2).curve for version in (first, second))
+            before, after = (version.serve(path, sum(version.window) // 2).curve for version in (first, second))
         changes.append((curve.dipole, compare_curves(before, after)))
     return changes
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from lbacal.instants import DAY_US, format_instant
-from lbacal_core.calibration.spreads import tell_reference
+from lbacal_core.calibration.spreads import serve_reference
 from lbacal_core.curves.validity import Instant, Scope, Stretch, timeline
 from lbacal_core.instrument.instrument import Instrument
 from service.storage.alarms import LOST_PATH, STATES, Alarm, AlarmsAsked
@@ -91,9 +91,9 @@ class Lives:
 
 def _follow(stretch: Stretch, version: Version, of_antenna: ByAntenna) -> list[Factor] | None:
     """C along slow changes, every 30 days of a stretch."""
-    slow, told = find_slow(version.scope, of_antenna), tell_reference(version.curves[0])
+    slow, served = find_slow(version.scope, of_antenna), serve_reference(version.curves[0])
     since, until = stretch.start or version.since, stretch.end or version.until
-    followed = [(at, follow(told, version, slow, at)) for at in range(since, until, SAMPLED_US)] if slow else []
+    followed = [(at, follow(served, version, slow, at)) for at in range(since, until, SAMPLED_US)] if slow else []
     return [Factor(at, float(one.factor.mean()), one.error) for at, one in followed] or None
 
 

@@ -34,14 +34,14 @@ class Predictions:
         """The curve in effect for a path, and what follows from it."""
         found = self.calibrations.in_effect(at, select_paths(self.simulation.instrument, station, antenna, dipole))
         curve = found.curves[0]
-        told = curve.told.curve
-        text = None if told.covariance is None else found.budgets.get(str(told.covariance.budget))
+        served = curve.served.curve
+        text = None if served.covariance is None else found.budgets.get(str(served.covariance.budget))
         budget = None if text is None else parse_budget(json.loads(text))
         is_own, seconds = curve.promotion.scope.antenna is not None, at / SECOND_US
         model = curve.version.inputs.get("settings", {}).get("model")
         # the causes of the version that answers, at their adopted sizes: those fitted again are not kept with it
         simulation = self.simulation if model is None else self.simulation.with_causes(Model.from_text(model))
-        return curve, predict(told, simulation, seconds, budget=budget, temperature_c=temperature_c, is_own=is_own)
+        return curve, predict(served, simulation, seconds, budget=budget, temperature_c=temperature_c, is_own=is_own)
 
     def beside_data(self, curve: CurveInEffect) -> tuple[OverLst, Floats] | None:
         """Data and prediction of a path in its version's window: band power over sidereal time, and the residual map.
@@ -54,6 +54,6 @@ class Predictions:
             if not stores.spectra.content(window)[0]:
                 return None
             spectra = self.fits.load_window(stores, window, with_covariates=False)
-        told = curve.told.curve
+        served = curve.served.curve
         (block,) = iterate_blocks(spectra)
-        return compare_over_lst(spectra, told, self.simulation), map_departures(block, [told], self.simulation)
+        return compare_over_lst(spectra, served, self.simulation), map_departures(block, [served], self.simulation)

@@ -202,7 +202,7 @@ def _answers(stretches: Sequence[Stretch], instants: Sequence[Instant]) -> list[
 def _with_size(change: Change, versions: dict[str, Version]) -> Change:
     if change.before is None or change.after is None:
         return change
-    before, after = (versions[name].tell(change.path, change.start).curve for name in (change.before, change.after))
+    before, after = (versions[name].serve(change.path, change.start).curve for name in (change.before, change.after))
     size = compare_curves(before, after)
     return Change(change.path, change.start, change.end, change.before, change.after, size)
 

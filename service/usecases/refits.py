@@ -23,21 +23,21 @@ from service.storage.changes import IN_FORCE, KeptChange, concerns
 from service.storage.database import Database, Stores
 from service.storage.jobs import Order, Part
 from service.storage.models import ADOPTED, Gain
-from service.storage.sums import KeptPiece, Sums, Told, read_pieces
+from service.storage.sums import KeptPiece, Served, Sums, read_pieces
 from service.storage.versions import Examined, Version
 from service.usecases.calibrations import find_slow, group_by_antenna, select_paths
 from service.usecases.fits import (
     SMALLEST_SHIFT,
     Fits,
     Made,
-    TellKey,
+    ServedKey,
     Wanted,
     find_standing,
-    is_still_told,
+    is_still_served,
     keep_fit,
-    keep_told,
+    keep_served,
     read_part,
-    tell,
+    read_served,
 )
 from service.usecases.gate import Gate, find_predecessors, find_shift
 from service.usecases.orders import name_inputs, place_order, read_window
@@ -109,7 +109,7 @@ class Refits:
             is_night = part.is_due and part.request["promote"]
             withdrawn = list(_withdraw_gaps(stores, made.versions, part)) if is_night else []
             if part.request["promote"]:
-                keep_fit(stores, block, made, kept.told)
+                keep_fit(stores, block, made, kept.served)
             if kept.result["calibrations"]:
                 stores.budgets.add(made.budgets)
             stores.models.put_gains(gains)
@@ -141,12 +141,14 @@ class Refits:
         versions = [one for of_path in made for one in of_path.versions]
         with self.database.write() as stores:
             stores.ledger.lock()
-            if _explain_other_model(stores, part) or not is_still_told(stores, pieces):
+            if _explain_other_model(stores, part) or not is_still_served(stores, pieces):
                 return False
             kept = self._keep(stores, versions, part, _list_said(pieces), neighbours)
             stores.versions.confirm(found.examined)
             if versions:
-                keep_told(stores, later.block, pieces, kept.told, [one for of_path in made for one in of_path.pieces])
+                keep_served(
+                    stores, later.block, pieces, kept.served, [one for of_path in made for one in of_path.pieces]
+                )
             kept.result["examined"] += len(found.examined)
             stores.jobs.complete(part, worker, kept.result, self.clock(), read)
             stores.ledger.append(kept.promotions, self.clock)
@@ -154,11 +156,11 @@ class Refits:
 
     def _fit_path(self, wanted: Wanted, path: Scope, pieces: Sequence[KeptPiece], neighbours: Neighbours) -> Made:
         """Fit one path from all its spectra, with the budget of the last fit of the whole station."""
-        told = next(one for piece in pieces for one in piece.told if one.scope == path)
+        served = next(one for piece in pieces for one in piece.served if one.scope == path)
         of_path = replace(wanted, of=path)
         with self.database.read() as stores:
             spectra = self.fits.load(stores, of_path)
-            before = stores.versions.get_many([told.calibration])[told.calibration]
+            before = stores.versions.get_many([served.calibration])[served.calibration]
             covariance = before.curves[0].covariance
             name = None if covariance is None else covariance.budget
             budget = None if name is None else parse_budget(stores.budgets.get(name))
@@ -212,9 +214,9 @@ class Refits:
         for v in made if part.is_due else []:
             name = aside.get(v.scope) or standing.get(v.scope)
             is_same = v.id == name
-            answering, told_last = versions.get(str(name)), own.get(v.scope)
+            answering, served_last = versions.get(str(name)), own.get(v.scope)
             alike = _find_alike(kept_changes, v.scope)
-            one = None if is_same else _confirm(stores, v, answering, told_last, changes[v.scope], alike)
+            one = None if is_same else _confirm(stores, v, answering, served_last, changes[v.scope], alike)
             if gated[v.id] is None and one is not None:
                 examined[v.scope] = one
                 versions |= stores.versions.get_many([one.calibration])
@@ -237,11 +239,13 @@ class Refits:
         kept.result["gated"] |= {name: objection for name, objection in gated.items() if objection is not None}
         kept.result["examined"] += len(examined)
         in_effect = {scope: {passed.get(scope), standing.get(scope)} for scope in scopes}
-        told = {v.scope: tell(v, changes[v.scope], is_in_effect=v.id in in_effect[v.scope]) for v in news}
-        told |= {of: tell(versions[one.calibration], changes[of], is_in_effect=True) for of, one in examined.items()}
-        kept.told |= {
+        served = {v.scope: read_served(v, changes[v.scope], is_in_effect=v.id in in_effect[v.scope]) for v in news}
+        served |= {
+            of: read_served(versions[one.calibration], changes[of], is_in_effect=True) for of, one in examined.items()
+        }
+        kept.served |= {
             (scope, since, until): replace(own.get(scope, one), changes=one.changes) if scope in stays else one
-            for scope, one in told.items()
+            for scope, one in served.items()
         }
 
 
@@ -253,10 +257,10 @@ class _Kept:
         default_factory=lambda: {"calibrations": [], "promoted": [], "gated": {}, "examined": 0}
     )
     promotions: list[Promotion] = field(default_factory=list)
-    told: dict[TellKey, Told] = field(default_factory=dict)
+    served: dict[ServedKey, Served] = field(default_factory=dict)
 
 
-Said = Mapping[TellKey, Told]
+Said = Mapping[ServedKey, Served]
 """What due work put into effect last, by scope and window."""
 
 
@@ -281,7 +285,7 @@ def _read_said(stores: Stores, now: Sums) -> Said:
 
 
 def _list_said(pieces: Sequence[KeptPiece]) -> Said:
-    return {(one.scope, of.since, of.until): one for of in pieces for one in of.told if one.is_in_effect}
+    return {(one.scope, of.since, of.until): one for of in pieces for one in of.served if one.is_in_effect}
 
 
 def _is_set_apart(stores: Stores, version: Version, said: Said) -> bool:
@@ -302,7 +306,7 @@ def _confirm(
     stores: Stores,
     new: Version,
     in_effect: Version | None,
-    said: Told | None,
+    said: Served | None,
     changes: Sequence[Instant],
     alike: Instant,
 ) -> Examined | None:
@@ -353,19 +357,19 @@ def _find_alike(changes: Iterable[KeptChange], scope: Scope) -> Instant:
     return 0
 
 
-def _list_before(stores: Stores, pieces: Sequence[KeptPiece], changes: Sequence[KeptChange]) -> dict[TellKey, Told]:
+def _list_before(stores: Stores, pieces: Sequence[KeptPiece], changes: Sequence[KeptChange]) -> dict[ServedKey, Served]:
     """What scopes were served when changes were in force as now last, where something else answers since."""
     found = {}
     for of in pieces:
-        for told in of.told:
-            if not (alike := _find_alike(changes, told.scope)):
+        for served in of.served:
+            if not (alike := _find_alike(changes, served.scope)):
                 continue
-            promotions = stores.ledger.of_interval(told.scope, of.since, of.until, MOST_RECALLED)
-            name = next((str(p.calibration) for p in promotions if p.at <= alike), told.calibration)
-            if name != told.calibration:
-                versions = stores.versions.get_many([name, told.calibration])
-                if find_shift(versions[name], versions[told.calibration]) is not None:
-                    found[told.scope, of.since, of.until] = tell(versions[name], (), is_in_effect=False)
+            promotions = stores.ledger.of_interval(served.scope, of.since, of.until, MOST_RECALLED)
+            name = next((str(p.calibration) for p in promotions if p.at <= alike), served.calibration)
+            if name != served.calibration:
+                versions = stores.versions.get_many([name, served.calibration])
+                if find_shift(versions[name], versions[served.calibration]) is not None:
+                    found[served.scope, of.since, of.until] = read_served(versions[name], (), is_in_effect=False)
     return found
 
 

@@ -38,40 +38,45 @@ def test_the_reference_chain_is_the_mean_of_exactly_the_paths_with_enough_events
 
 @pytest.mark.parametrize(("antenna", "cable"), [(0, "50"), (1, "80")])
 def test_a_path_is_told_the_curve_of_its_own_cable(scene, answer, antenna, cable):
-    told = carry_to_path(*answer, "CS002", antenna, "X", AT)
+    served = carry_to_path(*answer, "CS002", antenna, "X", AT)
     truth = calibration_factor(scene.slope(cable), scene.instrument.antenna_gain)
-    assert (told.curve.station, told.curve.antenna, told.curve.dipole, told.cable) == ("CS002", antenna, "X", cable)
+    assert (served.curve.station, served.curve.antenna, served.curve.dipole, served.cable) == (
+        "CS002",
+        antenna,
+        "X",
+        cable,
+    )
     # 400 events: the station's curve is known to 0.5 %, its cables differ by 15-50 % in power
-    assert np.max(np.abs(told.curve.c - truth) / told.curve.c_sigma_stat) < 4
+    assert np.max(np.abs(served.curve.c - truth) / served.curve.c_sigma_stat) < 4
     assert np.min(np.abs(answer[0].c / truth - 1)) > 0.1
-    np.testing.assert_allclose(told.curve.c / answer[0].c, told.factor)
-    np.testing.assert_allclose(told.curve.c_sigma_stat / told.curve.c, answer[0].c_sigma_stat / answer[0].c)
+    np.testing.assert_allclose(served.curve.c / answer[0].c, served.factor)
+    np.testing.assert_allclose(served.curve.c_sigma_stat / served.curve.c, answer[0].c_sigma_stat / answer[0].c)
 
 
 def test_the_noise_at_the_input_follows_the_cable_and_at_the_output_stays(scene, answer):
-    told = carry_to_path(*answer, "CS002", 1, "X", AT)
-    assert told.curve.parameters == answer[0].parameters
-    slope = scene.instrument.antenna_gain / told.curve.c**2
-    terms = noise_at_input(told.curve, scene.instrument)
+    served = carry_to_path(*answer, "CS002", 1, "X", AT)
+    assert served.curve.parameters == answer[0].parameters
+    slope = scene.instrument.antenna_gain / served.curve.c**2
+    terms = noise_at_input(served.curve, scene.instrument)
     np.testing.assert_allclose(terms["adc"] * slope, answer[0].parameters["n_adc"].value)
     np.testing.assert_allclose(terms["lna"], answer[0].parameters["n_lna"].value)
-    np.testing.assert_allclose(terms["adc"] / noise_at_input(answer[0], scene.instrument)["adc"], told.factor**2)
+    np.testing.assert_allclose(terms["adc"] / noise_at_input(answer[0], scene.instrument)["adc"], served.factor**2)
 
 
 def test_the_error_told_holds_offset_and_spread_of_its_cable(answer):
     curve, chain = answer
     assert chain.spreads.by_cable == {}, "two paths a cable"
-    told = carry_to_path(curve, chain, "CS002", 0, "X", AT)
+    served = carry_to_path(curve, chain, "CS002", 0, "X", AT)
     spread = chain.spreads.all_paths
-    np.testing.assert_allclose(told.curve.c_sigma_sys / told.curve.c, np.hypot(spread.offset, spread.spread) / 2)
-    assert (told.flag, told.reason) == ("ok", None)
+    np.testing.assert_allclose(served.curve.c_sigma_sys / served.curve.c, np.hypot(spread.offset, spread.spread) / 2)
+    assert (served.flag, served.reason) == ("ok", None)
 
 
 def test_another_station_is_flagged_and_without_spread_between_stations_its_error_is_unknown(answer):
-    told = carry_to_path(*answer, "CS003", 0, "X", AT)
-    assert (told.flag, told.curve.c_sigma_sys) == ("uncertain", None)
-    assert told.reason.startswith("there are no data of CS003")
-    assert "from one" in told.reason
+    served = carry_to_path(*answer, "CS003", 0, "X", AT)
+    assert (served.flag, served.curve.c_sigma_sys) == ("uncertain", None)
+    assert served.reason.startswith("there are no data of CS003")
+    assert "from one" in served.reason
 
 
 def test_a_station_without_data_is_told_a_larger_error_by_an_array_of_two(scene):
@@ -87,17 +92,17 @@ def test_a_station_without_data_is_told_a_larger_error_by_an_array_of_two(scene)
 
 
 def test_a_spread_that_was_not_measured_is_unknown_and_never_zero(answer):
-    told = carry_to_path(answer[0], replace(answer[1], spreads=None), "CS002", 0, "X", AT)
-    assert (told.flag, told.curve.c_sigma_sys) == ("uncertain", None)
-    assert "too few were fitted" in told.reason
+    served = carry_to_path(answer[0], replace(answer[1], spreads=None), "CS002", 0, "X", AT)
+    assert (served.flag, served.curve.c_sigma_sys) == ("uncertain", None)
+    assert "too few were fitted" in served.reason
 
 
 def test_without_a_known_chain_or_cable_the_stored_curve_is_told_with_a_flag(answer):
     unknown = carry_to_path(answer[0], None, "CS002", 0, "X", AT)
     absent = carry_to_path(*answer, "CS002", 77, "X", AT)
-    for told in (unknown, absent):
-        assert told.flag == "uncertain"
-        np.testing.assert_array_equal(told.factor, 1.0)
+    for served in (unknown, absent):
+        assert served.flag == "uncertain"
+        np.testing.assert_array_equal(served.factor, 1.0)
     assert absent.reason == "no cable of CS002 antenna 77 X is on record at 2014-05-13"
     assert carry_to_path(*answer, "CS002", 77, "X", -1e11).reason.endswith("-1199-02-15")
 
