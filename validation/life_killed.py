@@ -50,6 +50,8 @@ STEPS = ("2014-09-10", "2015-03-20")
 ACTS, CHUNKS = 5, 24
 LONGEST_S = 4.0
 """A night of this station takes about as long, after which the worker is killed or not at all."""
+ENDLESS_S = 600.0
+"""Work that goes on for so long has no end."""
 SAME_C = 0.01
 """Standard deviations within which C of one id is one: the gains of paths that are fitted together settle to 1e-4."""
 MOST_VERSIONS = 10_000
@@ -66,17 +68,22 @@ class Life:
     rng: np.random.Generator
     acts: list[str] = field(default_factory=list)
     kills: int = 0
+    is_endless: bool = False
 
     def do(self, name: str, act: Callable[[], Any], *, is_killed: bool = False) -> None:
         """Do something and let nights follow, in which the worker is killed or not."""
         self.acts.append(name + " and a kill" * is_killed)
         act()
-        kill_at = time.monotonic() + float(self.rng.uniform(0.1, LONGEST_S)) if is_killed else np.inf
+        begun = time.monotonic()
+        kill_at = begun + float(self.rng.uniform(0.1, LONGEST_S)) if is_killed else np.inf
         for _ in range(MOST_NIGHTS):
             # the worker enqueues, too, what follows from what it ended
             if not look_for_due_work(self.factory) and not self._is_at_work():
                 return
             while self._is_at_work():
+                self.is_endless |= time.monotonic() > begun + ENDLESS_S
+                if self.is_endless:
+                    return
                 if time.monotonic() > kill_at:
                     self.worker.kill()
                     self.kills, kill_at = self.kills + 1, np.inf
@@ -125,6 +132,7 @@ def live(seed: int, acts: int = ACTS) -> Row:
     return {
         "acts": life.acts,
         "kills": life.kills,
+        "endless": life.is_endless,
         "undone": undone,
         "compared": len(shifts),
         "within": sum(shift <= SMALLEST_SHIFT for shift in shifts.values()),
@@ -230,6 +238,7 @@ def judge(rows: Sequence[Row]) -> list[Found]:
     within = sum(row["within"] for row in rows), sum(row["compared"] for row in rows)
     unlike = sum(len(row["unlike"]) for row in rows), sum(row["twice"] for row in rows)
     return [
+        rate_of("endless", sum(row["endless"] for row in rows), len(rows)),
         rate_of("apart", apart, len(rows)),
         rate_of("undone", undone, len(rows)),
         rate_of("within", *within),

@@ -15,7 +15,16 @@ from sqlalchemy import ColumnElement, Connection, Row, and_, func, or_, select
 from lbacal.instants import SECOND_US
 from lbacal_core.calibration.spreads import ServedCurve, carry_to_path
 from lbacal_core.curves.covariance import Budget
-from lbacal_core.curves.curves import MISFIT, NONE, STATUSES, Anomalies, CalibrationCurve, parse_anomalies, parse_curve
+from lbacal_core.curves.curves import (
+    CONVERGED,
+    MISFIT,
+    NONE,
+    STATUSES,
+    Anomalies,
+    CalibrationCurve,
+    parse_anomalies,
+    parse_curve,
+)
 from lbacal_core.curves.reference_chain import CableTable, GainSpreads, ReferenceChain, parse_cable_table, parse_spreads
 from lbacal_core.curves.validity import Instant, Scope, parse_scope
 from lbacal_core.provenance import canonical_json, hash_content
@@ -103,6 +112,8 @@ BUDGET = "budget"
 """The input that names a budget which was not computed from the version's own spectra and those around them."""
 OF_OTHERS = (BESIDE, BEHIND, BUDGET)
 """The inputs that other fits lend: what they are made of differs from fit to fit, however little C does."""
+OF_SIMULATION = ("instrument", "model_version", "settings", "sky_power", "model")
+"""The inputs that are no data."""
 CURVES_REMEMBERED = 1200
 """Versions whose curves stay in memory: those of all paths of the Superterp in two years, about 40 MB."""
 
@@ -236,8 +247,9 @@ class Examined:
     made: Instant
 
 
-def _own_inputs(row: Row[Any]) -> dict[str, Any]:
-    return {name: value for name, value in json.loads(row.inputs).items() if name not in OF_OTHERS}
+def _simulation_of(row: Row[Any]) -> list[Any]:
+    inputs = json.loads(row.inputs)
+    return [inputs.get(name) for name in OF_SIMULATION]
 
 
 class VersionStore(Store):
@@ -287,23 +299,39 @@ class VersionStore(Store):
         rows = list(select_many(self._connection, select(calibration), calibration.c.id, ids))
         return {row.id: version for row, version in zip(rows, self._values(rows), strict=True)}
 
-    def first_alike(self, ids: Collection[str]) -> dict[str, str]:
-        """The version that was made first of the same window and inputs, whatever other windows stood beside, by id."""
-        names = ("id", "scope", "since_us", "until_us", "made_us", "inputs")
+    def first_like(self, ids: Collection[str], instant: Instant) -> dict[str, str]:
+        """The version that was made first like each of some, by id.
+
+        That is of its scope, by the same simulation, of a window that holds an instant, and with at least half of its
+        events, whatever changes cut the window and other windows lent.
+        """
+        names = ("id", "scope", "events", "made_us", "inputs")
         columns = [calibration.c[name] for name in names]
         wanted = self._connection.execute(select(*columns).where(calibration.c.id.in_(ids))).all()
-        edges = [calibration.c[name].in_({getattr(row, name) for row in wanted}) for name in names[1:4]]
-        passed = or_(calibration.c.gate.is_(None), calibration.c.id.in_(ids))
-        rows = self._connection.execute(select(*columns).where(*edges, passed)).all() if wanted else []
-        of_window = defaultdict[tuple[Any, ...], list[Row[Any]]](list)
-        for row in sorted(rows, key=lambda row: (row.made_us, row.id)):
-            of_window[row.scope, row.since_us, row.until_us].append(row)
-        first = {}
-        for row in wanted:
-            others = of_window[row.scope, row.since_us, row.until_us]
-            alike = (one.id for one in others if one.id == row.id or _own_inputs(one) == _own_inputs(row))
-            first[row.id] = next(alike)
-        return first
+        if not wanted:
+            return {}
+        is_like = (
+            calibration.c.scope.in_({row.scope for row in wanted}),
+            calibration.c.since_us <= instant,
+            calibration.c.until_us > instant,
+            2 * calibration.c.events >= min(row.events for row in wanted),
+            calibration.c.status == CONVERGED,
+            calibration.c.gate.is_(None),
+        )
+        of_scope = defaultdict[str, list[Row[Any]]](list)
+        for row in self._connection.execute(select(*columns).where(*is_like).order_by("made_us", "id")):
+            of_scope[row.scope].append(row)
+        return {
+            row.id: next(
+                (
+                    one.id
+                    for one in of_scope[row.scope]
+                    if 2 * one.events >= row.events and _simulation_of(one) == _simulation_of(row)
+                ),
+                row.id,
+            )
+            for row in wanted
+        }
 
     def search(self, scope: Scope | None, status: str | None, cursor: str, limit: int) -> list[Version]:
         """Versions with an id after a cursor, in order of id."""

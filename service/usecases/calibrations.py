@@ -33,8 +33,8 @@ WHOLE_REMEMBERED = 2
 State = tuple[int, Instant | None, tuple[KeptChange, ...]]
 """The newest promotion, the latest instant of the ledger, the changes on record: what is in effect follows."""
 SLOW_STEP_US = 10 * DAY_US
-"""C along a ramp or season is served for the middle of so long a time: what is cached stays true in it, and five days of
-a season are 9 % of its amplitude."""
+"""C along a ramp or season is served for the middle of so long a time: what is cached stays true in it, and five days
+of a season are 9 % of its amplitude."""
 
 
 @dataclass(frozen=True)

@@ -30,28 +30,24 @@ KIND = DRIFT
 
 
 def find_references(stores: Stores, instrument: Instrument, station: str) -> dict[Scope, str]:
-    """Find for every path of a station its own version that is in effect for its first whole calendar year (UTC).
+    """Find for every path of a station the version that its drift is measured against.
 
-    Where windows are cut in every year, it is the one in effect at the middle of the first. A version that was made and
-    not promoted changes nothing here, nor does one that differs by the years beside it alone: what drift finds cuts
-    these years, and it would find something else against another reference, without end.
+    Like the one of its own that is in effect at the middle of its first calendar year (UTC) with one, that which was
+    made first and has half of its events: drift finds changes, which cut that year, and against what it called for
+    itself it would find others, without end.
     """
     antennas = sorted({record.antenna for record in instrument.antennas if record.station == station})
     paths = [Scope(station, antenna, dipole) for antenna in antennas for dipole in instrument.dipoles]
     found: dict[Scope, str] = {}
-    of_cut: dict[Scope, str] = {}
     for since, until in find_years(stores):
+        middle, own = (since + until) // 2, dict[Scope, str]()
         missing = [path for path in paths if path not in found]
-        for path, said in stores.ledger.answers(missing, (since + until) // 2, None).items():
-            newest = said[0] if said and said[0].scope == path else None
-            if newest is None or newest.calibration is None:
-                continue
-            if newest.covers(since) and newest.covers(until - 1):
-                found[path] = newest.calibration
-            of_cut.setdefault(path, newest.calibration)
-    found = of_cut | found
-    first = stores.versions.first_alike(found.values())
-    return {path: first[name] for path, name in found.items()}
+        for path, said in stores.ledger.answers(missing, middle, None).items():
+            if said and said[0].scope == path and said[0].calibration is not None:
+                own[path] = said[0].calibration
+        first = stores.versions.first_like(own.values(), middle)
+        found |= {path: first[name] for path, name in own.items()}
+    return found
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,7 @@ from service.storage.jobs import Job, Order, Part
 from service.storage.models import ADOPTED, ModelChange
 from service.storage.versions import Version
 from service.usecases.drift import start_of_year
+from service.usecases.drift_measurement import find_references
 from service.usecases.due import DueWork
 from service.usecases.fits import Wanted
 from service.usecases.models import Adoption
@@ -121,6 +122,20 @@ def test_a_step_and_a_swapped_cable_end_as_a_change_point_and_a_new_window(watch
     assert [one for one in watch_night(watched) if one[0] == "refit"] == [], "the cut calls for refits once"
     assert watched.models.history() == [], "no cause, and so no gain that is promised for later years"
     dismiss_and_take_back(watched, Scope("CS002", 2, "Y"))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("database_url", ["sqlite"], indirect=True)
+def test_drift_called_for_its_own_reference_without_end(make_service: Callable[..., Factory], changed: Spectra) -> None:
+    """In its first year it was measured against what its own changes had cut, and might then find others."""
+    watched, path = make_service(changed.select(changed.time_unix >= BEGIN / 1e6)), Scope("CS002", 1, "Y")
+    watch_night(watched)
+    reasons = {(job.kind, job.reason) for job in watched.database.look(lambda stores: stores.jobs.newest())}
+    assert not [reason for kind, reason in reasons if kind == "drift" and reason != "the first of this window"]
+    with watched.database.read() as stores:
+        held = stores.versions.get(find_references(stores, watched.instrument, "CS002")[path])
+    assert len(in_effect(watched, path)) == 2, "cut where its cable was swapped"
+    assert (held.since, held.until) == (BEGIN, parse_instant("", "2016-01-01")), "what was made of the whole year"
 
 
 def dismiss_and_take_back(watched: Factory, path: Scope) -> None:
