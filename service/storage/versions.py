@@ -247,9 +247,19 @@ class Examined:
     made: Instant
 
 
-def _simulation_of(row: Row[Any]) -> list[Any]:
-    inputs = json.loads(row.inputs)
-    return [inputs.get(name) for name in OF_SIMULATION]
+def _find_uncut(row: Row[Any], others: Sequence[Row[Any]]) -> str:
+    """The first of the newest spectra in the longest window, of versions in the order in which they were made."""
+    own = json.loads(row.inputs)
+    alike = []
+    for one in others:
+        inputs = json.loads(one.inputs)
+        if 2 * one.events >= row.events and all(inputs.get(name) == own.get(name) for name in OF_SIMULATION):
+            alike.append((one.until_us - one.since_us, inputs["spectra"], one.id))
+    longest, first = max((length for length, *_ in alike), default=0), dict[str, str]()
+    for length, spectra, name in alike:
+        if length == longest:
+            first.setdefault(spectra, name)
+    return next(reversed(first.values()), row.id)
 
 
 class VersionStore(Store):
@@ -299,13 +309,13 @@ class VersionStore(Store):
         rows = list(select_many(self._connection, select(calibration), calibration.c.id, ids))
         return {row.id: version for row, version in zip(rows, self._values(rows), strict=True)}
 
-    def first_like(self, ids: Collection[str], instant: Instant) -> dict[str, str]:
-        """The version that was made first like each of some, by id.
+    def uncut(self, ids: Collection[str], instant: Instant) -> dict[str, str]:
+        """The version that each of some would be if nothing cut its window, by id.
 
-        That is of its scope, by the same simulation, of a window that holds an instant, and with at least half of its
-        events, whatever changes cut the window and other windows lent.
+        By the same simulation, it has the longest window that holds an instant, with at least half of the events; there
+        the newest spectra, and among those that have these it was made first, whatever other windows lent.
         """
-        names = ("id", "scope", "events", "made_us", "inputs")
+        names = ("id", "scope", "since_us", "until_us", "events", "inputs")
         columns = [calibration.c[name] for name in names]
         wanted = self._connection.execute(select(*columns).where(calibration.c.id.in_(ids))).all()
         if not wanted:
@@ -315,23 +325,12 @@ class VersionStore(Store):
             calibration.c.since_us <= instant,
             calibration.c.until_us > instant,
             2 * calibration.c.events >= min(row.events for row in wanted),
-            calibration.c.status == CONVERGED,
-            calibration.c.gate.is_(None),
+            or_(and_(calibration.c.status == CONVERGED, calibration.c.gate.is_(None)), calibration.c.id.in_(ids)),
         )
         of_scope = defaultdict[str, list[Row[Any]]](list)
         for row in self._connection.execute(select(*columns).where(*is_like).order_by("made_us", "id")):
             of_scope[row.scope].append(row)
-        return {
-            row.id: next(
-                (
-                    one.id
-                    for one in of_scope[row.scope]
-                    if 2 * one.events >= row.events and _simulation_of(one) == _simulation_of(row)
-                ),
-                row.id,
-            )
-            for row in wanted
-        }
+        return {row.id: _find_uncut(row, of_scope[row.scope]) for row in wanted}
 
     def search(self, scope: Scope | None, status: str | None, cursor: str, limit: int) -> list[Version]:
         """Versions with an id after a cursor, in order of id."""

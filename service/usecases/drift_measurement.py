@@ -32,9 +32,8 @@ KIND = DRIFT
 def find_references(stores: Stores, instrument: Instrument, station: str) -> dict[Scope, str]:
     """Find for every path of a station the version that its drift is measured against.
 
-    Like the one of its own that is in effect at the middle of its first calendar year (UTC) with one, that which was
-    made first and has half of its events: drift finds changes, which cut that year, and against what it called for
-    itself it would find others, without end.
+    That is its own one in effect at the middle of its first calendar year (UTC) with one, as it would be if no change
+    cut that year: drift finds changes, and against what it called for itself it would find others, without end.
     """
     antennas = sorted({record.antenna for record in instrument.antennas if record.station == station})
     paths = [Scope(station, antenna, dipole) for antenna in antennas for dipole in instrument.dipoles]
@@ -45,8 +44,8 @@ def find_references(stores: Stores, instrument: Instrument, station: str) -> dic
         for path, said in stores.ledger.answers(missing, middle, None).items():
             if said and said[0].scope == path and said[0].calibration is not None:
                 own[path] = said[0].calibration
-        first = stores.versions.first_like(own.values(), middle)
-        found |= {path: first[name] for path, name in own.items()}
+        uncut = stores.versions.uncut(own.values(), middle)
+        found |= {path: uncut[name] for path, name in own.items()}
     return found
 
 
