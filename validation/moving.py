@@ -321,7 +321,7 @@ def judge(rows: Sequence[Row]) -> list[Found]:
         rate_of("answered", sum(None not in row["pulls"].values() for row in rows), len(rows)),
         *_still(single),
         rate_of("dates", sum(dated), len(dated)),
-        rate_of("unplanted", sum(any(one[3] is None for one in row["found"]) for row in rows), len(rows)),
+        *_strange(rows),
     ]
 
 
@@ -331,8 +331,17 @@ def judge_means(rows: Sequence[Row]) -> list[Found]:
     An antenna that is dead for a year takes its events with it: in four, 0.4 sigma by chance alone.
     """
     told = [row for row in rows if len(row["station"]) == 2]
-    unplanted = [any(one[3] is None for one in row["found"]) for row in rows if row["kind"] != "several"]
-    return [*_still(told), rate_of("unplanted_one", sum(unplanted), len(unplanted))]
+    return [*_still(told), *_strange([row for row in rows if row["kind"] != "several"])]
+
+
+def _strange(rows: Sequence[Row]) -> list[Found]:
+    """How often a change is in force where nobody planted any, or another than was planted: a ramp called a step."""
+    kinds: list[set[str]] = []
+    for row in rows:
+        moved = {antenna for move in row["planted"] for antenna in move[4]}
+        strange = [{path[0] for path in one[0]} for one in row["found"] if one[3] is None]
+        kinds.append({"unplanted" if moved and not antennas & moved else "other_kind" for antennas in strange})
+    return [rate_of(key, sum(key in of for of in kinds), len(rows)) for key in ("unplanted", "other_kind")]
 
 
 def _still(rows: Sequence[Row]) -> list[Found]:

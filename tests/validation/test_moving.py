@@ -36,11 +36,11 @@ def test_c_is_asked_for_while_there_are_data() -> None:
 
 def test_the_judgement_counts_what_was_not_right(row: Row) -> None:
     wrong = {**row, "pulls": {**row["pulls"], "moved_after": [4.0, 4.0, 4.0]}, "found": [[[[0, "X"]], 1, 1, None]]}
-    found: dict[str, Found] = {
-        one.key: one for one in judge([row, wrong, {**row, "who": "path", "station": [0.1] * 3}])
-    }
-    assert found["moved_after"].found == pytest.approx(2 / 3)
-    assert found["unplanted"].found == pytest.approx(1 / 3)
+    single = {**row, "who": "path", "station": [0.1] * 3, "planted": [["step", 1, [0.1], 0.0, [3]]]}
+    elsewhere = {**single, "found": [[[[3, "X"]], 1, 1, 0], [[[0, "X"]], 1, 1, None]]}
+    found: dict[str, Found] = {one.key: one for one in judge([row, wrong, single, elsewhere])}
+    assert found["moved_after"].found == pytest.approx(3 / 4)
+    assert (found["unplanted"].found, found["other_kind"].found) == (1 / 4, 1 / 4)
     assert found.keys() == set(asked_of("moving", "small"))
 
 
@@ -52,5 +52,5 @@ def test_an_antenna_that_is_dead_for_a_year_does_not_move_the_mean_of_its_statio
     moved = {"station": [[0.1] * 3, [0.1, 0.1, -0.4]], "found": [[[[0, "X"]], 1, 1, None]]}
     others = [{**row, "seed": 6, "kind": "several"}, {**row, "seed": 7, "kind": "step", **moved}]
     found = {one.key: one for one in judge_means([row, *others])}
-    assert [found[key].found for key in ("mean", "mean_dead", "mean_several", "unplanted_one")] == [0, 1, 1, 0.5]
+    assert [found[key].found for key in ("mean", "mean_dead", "mean_several", "unplanted")] == [0, 1, 1, 0.5]
     assert found.keys() == set(asked_of("moving", "mean"))
