@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lbacal_twin.faults.composed import draw_composed
+from lbacal_twin.faults.composed import Composed, draw_composed
 from lbacal_twin.faults.uncatalogued import uncatalogued_faults
 from validation.hidden.data_sets import EVENTS, DataSet, Planted, moving_causes
 from validation.hidden.held_out import chi_squared, found_ratio
@@ -26,6 +26,8 @@ FIRST_SEED, LEFT_OUT_FROM, COMPOSED_FROM = 900_000_000, 950_000_000, 970_000_000
 LARGE, SMALL, LEFT_OUT = 25.0, 10.0, 15.0
 """Ideal SNR of the effects, in the half of the events that is used."""
 FIRST_SIZE, TRIES = 0.02, 10
+HALVES = 2.0
+"""Halves of a data set, to which events belong by turns."""
 LEAST = 9.0
 """Chi^2 of an effect in the other events below which nothing can be taken out: some act in one half alone."""
 ALIKE = 0.95
@@ -122,12 +124,18 @@ def try_composed(seed: int) -> Row:
     rng = np.random.default_rng([12, seed])
     seen = DataSet(COMPOSED_FROM + seed, events=2 * EVENTS, half=0)
     for _ in range(TRIES):
-        fault = draw_composed(rng, FIRST_SIZE)
+        fault = number_in_halves(draw_composed(rng, FIRST_SIZE))
         planted = seen.with_snr(Planted("composed", fault, "station", "station"), LARGE)
         if planted is not None:
             said = " x ".join(one for one, _ in (fault.law, *fault.courses))
             return {**describe_hidden(seen, planted, LARGE, fault.place), "composed": said}
     return {**describe_hidden(seen, None, LARGE, ""), "composed": ""}
+
+
+def number_in_halves(fault: Composed) -> Composed:
+    """Every n-th event of each half of the data set, which knows no events but its own."""
+    courses = ((name, (*numbers, HALVES) if name == "third" else numbers) for name, numbers in fault.courses)
+    return replace(fault, courses=tuple(courses))
 
 
 def _found(rows: Sequence[Row], prefix: str = "") -> list[Found]:

@@ -81,7 +81,7 @@ COURSES: dict[str, tuple[Callable[..., Floats], Callable[[np.random.Generator], 
     "rain": (lambda s: np.tanh(s.rain_mm_h), lambda _: ()),
     "light": (_is_light, lambda _: ()),
     "third": (
-        lambda s, n: (np.arange(s.time_unix.size) % n == 0).astype(float),
+        lambda s, n, together=1.0: (np.arange(s.time_unix.size) // together % n == 0).astype(float),
         lambda rng: (float(rng.integers(3, 6)),),
     ),
 }

@@ -2,10 +2,23 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
+import numpy as np
 import pytest
 
+from lbacal_twin.faults.composed import COURSES, Composed
 from lbacal_twin.faults.uncatalogued import uncatalogued_faults
-from validation.described import ALIKE, PLACES, judge_one_size, judge_unlisted, try_composed, try_left_out, try_unlisted
+from validation.described import (
+    ALIKE,
+    PLACES,
+    judge_one_size,
+    judge_unlisted,
+    number_in_halves,
+    try_composed,
+    try_left_out,
+    try_unlisted,
+)
 from validation.hidden.data_sets import moving_causes
 from validation.machinery.records import verdicts_of
 
@@ -36,6 +49,15 @@ def test_a_record_of_right_sentences_is_shown_and_one_of_wrong_places_is_not() -
     assert len(judge_unlisted(right)) > len(judge_one_size(right))
 
 
+def test_every_fourth_event_is_planted_in_both_halves_as_each_counts_them() -> None:
+    scene = SimpleNamespace(time_unix=np.arange(101.0))
+    fault = number_in_halves(Composed(size=0.1, place="sky", law=("level", ()), courses=(("third", (4.0,)),)))
+    ((name, numbers),) = fault.courses
+    planted = COURSES[name][0](scene, *numbers)
+    for half in (planted[0::2], planted[1::2]):
+        assert np.flatnonzero(half).tolist() == [*range(0, half.size, 4)]
+
+
 @pytest.mark.long
 def test_working_days_are_said_in_words_that_hold_in_other_events() -> None:
     row = try_unlisted(1)
@@ -50,3 +72,11 @@ def test_other_parts_run() -> None:
     composed, left_out = try_composed(4), try_left_out(8)
     assert max(composed["alike"]) > ALIKE
     assert left_out["kind"] not in left_out["named"]
+
+
+@pytest.mark.long
+def test_what_grows_from_antenna_to_antenna_is_judged_by_the_amount_of_each() -> None:
+    """No single antenna or cable resembles a gradient by more than 0.75."""
+    row = try_unlisted(4)
+    assert row["kind"] == "FieldGradient"
+    assert row["alike"][0] > 0.9

@@ -14,7 +14,7 @@ from lbacal_core.discovery.curve_search import describe_curve, investigate_curve
 from lbacal_core.discovery.findings import Finding
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
 from lbacal_core.discovery.refit import power_ratio
-from lbacal_core.discovery.report import investigate
+from lbacal_core.discovery.report import GROWS, investigate
 from lbacal_core.discovery.search import StationReport
 from lbacal_core.discovery.station import Station, gather_stations
 from lbacal_core.grids import Floats
@@ -118,13 +118,24 @@ class FittedModel:
         found = self._station.last.hypotheses
         if sentence is not None:
             said, instead = self._said[sentence]
-            found = [*(one.hypothesis for one in self._station.findings if one is not instead), said]
+            beside = (one.hypothesis for one in self._station.findings if one is not instead)
+            found = [*beside, *self._in_antennas(said)]
         found = [replace(one, target=_target_in(other, one)) for one in found]
         ratio = power_ratio(other, terms, found)
         paths = [(int(antenna), str(dipole)) for antenna, dipole in zip(other.antenna, other.dipole, strict=True)]
         times = other.conditions.time_unix
         shape = (len(paths), times.size, instrument.frequency_mhz.size)
         return np.ones(shape) if ratio is None else ratio, paths, times
+
+    def _in_antennas(self, one: Hypothesis) -> list[Hypothesis]:
+        """A sentence, by the amount of each antenna where the report says that these grow with their number."""
+        said, growth = self._station.description, self._station.description.grows_with_number
+        if growth is None or abs(growth) <= GROWS or one is not said.sentences[0].hypothesis:
+            return [one]
+        return [
+            replace(one, size=size, target=replace(one.target, scope="antenna", label=f"antenna {number}"))
+            for number, (size, _) in said.amounts.items()
+        ]
 
 
 def _target_in(station: Station, one: Hypothesis) -> Target:
