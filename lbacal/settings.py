@@ -13,10 +13,7 @@ from lbacal_core.errors import BadInputError
 
 PREFIX = "LBACAL_"
 CLIENT_SETTINGS = {
-    "LBACAL_DASK": (
-        "address of a dask scheduler for traces, investigations and workers, or local",
-        "none",
-    ),
+    "LBACAL_DASK": ("address of a dask scheduler for traces, investigations and workers, or local", "none"),
     "LBACAL_URL": ("address of the server, for the client", "http://127.0.0.1:8000"),
     "LBACAL_API_KEY": ("key of the client; reads need none unless the server says so", "none"),
     "LBACAL_CACHE": ("folder of the client for synced tags, which answer while no server does", "none"),

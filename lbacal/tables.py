@@ -49,9 +49,7 @@ COLUMNS = {
     "c": _Column(float, "calibration factor C(nu), V per ADC unit", "V"),
     "c_sigma_stat": _Column(float, "statistical standard deviation of c", "V"),
     "c_sigma_sys": _Column(
-        float,
-        "systematic standard deviation of c, by the budget that its covariance names; NaN in old versions",
-        "V",
+        float, "systematic standard deviation of c, by the budget that its covariance names; NaN in old versions", "V"
     ),
     "flag": _Column(str, "ok, uncertain, interference, or outside (C is not determined)"),
     "flag_reason": _Column(str, "why the whole curve is uncertain"),

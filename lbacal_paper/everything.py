@@ -24,12 +24,7 @@ from lbacal_paper.results import (
     find_about_sky,
     find_skies,
 )
-from lbacal_paper.shower_study import (
-    describe_displacements,
-    describe_measured_sky,
-    describe_terms,
-    study_showers,
-)
+from lbacal_paper.shower_study import describe_displacements, describe_measured_sky, describe_terms, study_showers
 from lbacal_paper.showers.coreas import Shower, read_coreas
 from lbacal_paper.statements import (
     BY_CONSTRUCTION,
@@ -150,11 +145,7 @@ class RedonePaper:
 
 
 def redo_paper(
-    tell: Callable[[str], None],
-    *,
-    antennas: int | None = None,
-    data: Path | None = None,
-    showers: Sequence[Path] = (),
+    tell: Callable[[str], None], *, antennas: int | None = None, data: Path | None = None, showers: Sequence[Path] = ()
 ) -> RedonePaper:
     """Compute every result and every figure.
 

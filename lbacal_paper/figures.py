@@ -271,11 +271,7 @@ def _draw_chain(study: Study) -> PaperFigure:
     behind_cable = behind_antenna * loss
     recorded = (sky + sum(terms.values())) * slope
     reference = float(np.median(recorded))
-    stages = {
-        "1 behind the active antenna": behind_antenna,
-        "2 behind the cable": behind_cable,
-        "3 recorded": recorded,
-    }
+    stages = {"1 behind the active antenna": behind_antenna, "2 behind the cable": behind_cable, "3 recorded": recorded}
     boxes = ["sky + N_LNA", "antenna G_ant A", "cable L_coax", "+ N_RCU", "receiver G_RCU S", "+ N_ADC", "recorded"]
     schematic = [Series(name, np.array([float(k)]), np.zeros(1), kind=BOXES) for k, name in enumerate(boxes)]
     levels = [
@@ -432,10 +428,7 @@ def _draw_calibration(study: Study, budget: Budget) -> PaperFigure:
         "published curve with 3 % of smooth departures: it shows what the method recovers (right), not a new "
         "measurement. Systematic bands: Table 1 of the paper, and our refits. The two reference source calibrations "
         "of the paper are not public; dotted are those with a stand-in.",
-        [
-            Panel(FREQUENCY, "C (µV per ADC unit)", upper),
-            Panel(FREQUENCY, "error of the fit (%)", lower),
-        ],
+        [Panel(FREQUENCY, "C (µV per ADC unit)", upper), Panel(FREQUENCY, "error of the fit (%)", lower)],
     )
 
 

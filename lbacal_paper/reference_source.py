@@ -134,11 +134,7 @@ def expected_power(field: Floats, antenna_gain: Floats, antenna_response: float 
 
 
 def calibrate_with_source(
-    table: SourceTable,
-    geometry: Geometry,
-    antenna_gain: Floats,
-    measured_power: Floats,
-    power_sigma: Floats,
+    table: SourceTable, geometry: Geometry, antenna_gain: Floats, measured_power: Floats, power_sigma: Floats
 ) -> SourceCalibration:
     """C from the measured power of a source.
 

@@ -124,12 +124,7 @@ def digitise(
     return np.clip(np.rint(total), ADC_LOWEST, ADC_HIGHEST).astype(np.int16)
 
 
-def write_frames(
-    path: Path,
-    samples: NDArray[np.int16],
-    reference: TraceReference,
-    station_id: int,
-) -> None:
+def write_frames(path: Path, samples: NDArray[np.int16], reference: TraceReference, station_id: int) -> None:
     """Write samples as the raw frames of a transient buffer board, checksums included."""
     count = samples.size // BLOCK_SAMPLES
     frames = np.zeros(count, dtype=FRAME)

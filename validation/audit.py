@@ -247,11 +247,7 @@ def judge_unlike_paths(rows: Sequence[Row]) -> list[Found]:
 
 
 def judge_day(rows: Sequence[Row]) -> list[Found]:
-    return [
-        *judge_common(rows),
-        *judge_letters([row for row in rows if row["kind"] in LETTERS]),
-        *judge_record(rows),
-    ]
+    return [*judge_common(rows), *judge_letters([row for row in rows if row["kind"] in LETTERS]), *judge_record(rows)]
 
 
 def judge_record(rows: Sequence[Row]) -> list[Found]:

@@ -21,13 +21,7 @@ from lbacal.curve_table import CurveTable
 from lbacal.files import path_of
 from lbacal.pages.chart import BAND, COLOURS, LINE, Chart, Series
 from lbacal.pages.curves import FREQUENCY
-from lbacal.selection import (
-    SUFFIXES,
-    Selection,
-    find_spectra_files,
-    parse_selection,
-    read_selected,
-)
+from lbacal.selection import SUFFIXES, Selection, find_spectra_files, parse_selection, read_selected
 from lbacal.units import convert_band, convert_number, make_rng
 from lbacal_core.errors import BadInputError, MissingExtraError, require_kind
 from lbacal_core.grids import WITHIN_1_SIGMA, Floats

@@ -100,11 +100,7 @@ def sync(
     """
     with Client() as client, progress() as tell:
         snapshot, fetched = client.sync(
-            tag,
-            lambda k, n: tell(f"{k} of {n} answers", k, n),
-            stations=station or (),
-            since=since,
-            until=until,
+            tag, lambda k, n: tell(f"{k} of {n} answers", k, n), stations=station or (), since=since, until=until
         )
     made = vars(snapshot) | {"stations": list(snapshot.stations), "files": len(snapshot.files), "fetched": fetched}
     told = f"{describe_snapshot(snapshot)}: {len(snapshot.files)} files, {fetched} answers fetched"

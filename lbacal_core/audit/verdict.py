@@ -140,11 +140,7 @@ class Possibility:
 
 
 def conclude(
-    station: str,
-    base: float,
-    possibilities: Sequence[Possibility],
-    hours: float = float("inf"),
-    base_fits: bool = True,
+    station: str, base: float, possibilities: Sequence[Possibility], hours: float = float("inf"), base_fits: bool = True
 ) -> list[Line]:
     """Conclude which record is wrong, if any; else which parts of the record the data confirm.
 

@@ -125,11 +125,7 @@ class _Refit:
         return self.fit(self.paths.power + fraction * mean, self.sky) - self.log_c
 
 
-def compute_budget(
-    spectra: Recorded,
-    simulation: Simulation,
-    sky_budget: str = DEFAULT_SKY_BUDGET,
-) -> Budget:
+def compute_budget(spectra: Recorded, simulation: Simulation, sky_budget: str = DEFAULT_SKY_BUDGET) -> Budget:
     """The systematic terms of C that all curves of these data share.
 
     Parameters

@@ -38,11 +38,7 @@ SMALLEST_SHARE = 1e-9
 
 
 def solve_without_interference(
-    slope: Floats,
-    intercept: Floats,
-    information: Floats,
-    terms: Intercepts,
-    solution: SeparableSolution | None = None,
+    slope: Floats, intercept: Floats, information: Floats, terms: Intercepts, solution: SeparableSolution | None = None
 ) -> tuple[SeparableSolution, Booleans]:
     """Fit the chain to lines, with the intercept of a channel left free where it stands out above all others.
 

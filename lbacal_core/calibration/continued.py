@@ -189,10 +189,7 @@ def _read_paths(kept: KeptLines, blocks: Sequence[SpectraBlock], simulation: Sim
 
 
 def _read_mean(
-    kept: KeptLines,
-    members: MemberLines,
-    blocks: Sequence[SpectraBlock],
-    simulation: Simulation,
+    kept: KeptLines, members: MemberLines, blocks: Sequence[SpectraBlock], simulation: Simulation
 ) -> _Events:
     """The new events of a mean over its members."""
     station, _, dipole = kept.owners[0]

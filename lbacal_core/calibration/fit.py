@@ -97,10 +97,7 @@ TOO_SMALL = (TOO_FEW_EVENTS, TOO_FEW_LST_BINS)
 
 
 def fit_calibration(
-    spectra: Recorded,
-    simulation: Simulation,
-    scope: str = "antenna",
-    beside: Sequence[Beside] = (),
+    spectra: Recorded, simulation: Simulation, scope: str = "antenna", beside: Sequence[Beside] = ()
 ) -> FitReport:
     """Calibrate every antenna, every station or the whole array.
 

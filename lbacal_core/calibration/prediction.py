@@ -85,11 +85,7 @@ class EventNoise:
 
     @classmethod
     def measured(
-        cls,
-        curve: CalibrationCurve,
-        spectra: Spectra,
-        simulation: Simulation,
-        others: Sequence[CalibrationCurve] = (),
+        cls, curve: CalibrationCurve, spectra: Spectra, simulation: Simulation, others: Sequence[CalibrationCurve] = ()
     ) -> EventNoise | None:
         """The noise of the events that a path's curve was fitted to; None for fewer than a fit needs.
 

@@ -198,12 +198,7 @@ class ServedCurve:
 
 
 def carry_to_path(
-    curve: CalibrationCurve,
-    chain: ReferenceChain | None,
-    station: str,
-    antenna: int,
-    dipole: str,
-    time_unix: float,
+    curve: CalibrationCurve, chain: ReferenceChain | None, station: str, antenna: int, dipole: str, time_unix: float
 ) -> ServedCurve:
     """Carry a curve through the cable that a path has at an instant: C_path = C (L_ref / L_path)^1/2.
 

@@ -49,12 +49,7 @@ def find_hardware_changes(instrument: Instrument) -> dict[Owner, tuple[float, ..
 
 
 def cut_window(
-    spectra: Recorded,
-    instrument: Instrument,
-    scope: str,
-    since_unix: float,
-    until_unix: float,
-    cuts: Cuts = NO_CUTS,
+    spectra: Recorded, instrument: Instrument, scope: str, since_unix: float, until_unix: float, cuts: Cuts = NO_CUTS
 ) -> list[Piece]:
     """Cut the window of a fit; a piece may have no spectra.
 

@@ -381,19 +381,9 @@ COURSES: dict[str, Kind] = {
         (3.0, 2.0),
         gates=True,
     ),
-    "day": Kind(
-        lambda c: (c.sun_altitude > 0).astype(float),
-        _where_days,
-        "while the Sun is up",
-        "day",
-        gates=True,
-    ),
+    "day": Kind(lambda c: (c.sun_altitude > 0).astype(float), _where_days, "while the Sun is up", "day", gates=True),
     "night": Kind(
-        lambda c: (c.sun_altitude <= 0).astype(float),
-        _where_days,
-        "while the Sun is down",
-        "night",
-        gates=True,
+        lambda c: (c.sun_altitude <= 0).astype(float), _where_days, "while the Sun is down", "night", gates=True
     ),
     "sun": Kind(
         lambda c: np.maximum(np.sin(c.sun_altitude), 0.0),

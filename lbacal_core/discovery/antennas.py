@@ -77,9 +77,7 @@ class Comparison:
         """
         typical = np.full(len(departures), np.inf) if typical is None else typical
         return replace(
-            self,
-            smooth=np.concatenate([self.smooth, departures]),
-            typical=np.concatenate([self.typical, typical]),
+            self, smooth=np.concatenate([self.smooth, departures]), typical=np.concatenate([self.typical, typical])
         )
 
     @cached_property

@@ -84,11 +84,7 @@ def _mean_terms(station: Station, solution: SeparableSolution) -> ChainTerms:
     before, behind = terms.before(constants[: len(terms.front)]), terms.split_behind(constants[len(terms.front) :])
     slope = np.stack([np.median(solution.x[rows], axis=0) for rows in members])
     return ChainTerms(
-        sky=station.sky,
-        n_lna=before,
-        front=slope[:, None, :],
-        receiver_noise=behind[0],
-        adc_noise=behind[1],
+        sky=station.sky, n_lna=before, front=slope[:, None, :], receiver_noise=behind[0], adc_noise=behind[1]
     )
 
 

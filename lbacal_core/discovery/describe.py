@@ -14,23 +14,13 @@ from itertools import pairwise, product
 import numpy as np
 
 from lbacal_core.causes.cause import TEMPERATURE, Conditions, signature
-from lbacal_core.causes.grammar import (
-    PLACES,
-    list_courses,
-    list_laws,
-    parts_of,
-    rough_laws,
-)
+from lbacal_core.causes.grammar import PLACES, list_courses, list_laws, parts_of, rough_laws
 from lbacal_core.discovery.findings import gain_in_chi_squared
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.refit import FittedModel, held_out_gain, refit
-from lbacal_core.discovery.residual_structure import (
-    STATION,
-    ResidualStructure,
-    find_structure,
-)
+from lbacal_core.discovery.residual_structure import STATION, ResidualStructure, find_structure
 from lbacal_core.discovery.scan import SpectralFamily, score_families
 from lbacal_core.discovery.sentences import (
     CERTAIN,

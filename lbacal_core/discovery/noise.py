@@ -323,12 +323,7 @@ def estimate_levels(
 
 
 def _path_levels(
-    station: Station,
-    amount: Floats,
-    kinds: Kinds,
-    members: Membership,
-    used: float,
-    own_channel: float,
+    station: Station, amount: Floats, kinds: Kinds, members: Membership, used: float, own_channel: float
 ) -> Floats:
     """Covariance along the vectors of the paths of each class beyond independent noise, shape (kind, class, k, k).
 

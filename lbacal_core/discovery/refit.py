@@ -79,10 +79,7 @@ def fit_chain(station: Station, modes: SkyModes | None = None) -> FittedModel:
 
 
 def linearise(
-    station: Station,
-    baseline: Baseline,
-    modes: SkyModes | None,
-    hypotheses: Sequence[Hypothesis] = (),
+    station: Station, baseline: Baseline, modes: SkyModes | None, hypotheses: Sequence[Hypothesis] = ()
 ) -> LinearModel:
     """The linear model of a baseline's residuals, with noise levels estimated from them.
 

@@ -332,11 +332,7 @@ def _where(report: StationReport, target: Target, parameters: Mapping[str, Any])
 
 
 def _sentence(
-    report: StationReport,
-    target: Target,
-    cause: CauseTexts,
-    size: tuple[float, float],
-    parameters: Mapping[str, Any],
+    report: StationReport, target: Target, cause: CauseTexts, size: tuple[float, float], parameters: Mapping[str, Any]
 ) -> str:
     whom = f"station {report.station.name}" + ("" if target.scope == "station" else f", {target.label}")
     words = "".join(f", {one}" for one in parameter_words(parameters))
@@ -561,11 +557,7 @@ def prepare_search(
 
 
 def investigate(
-    spectra: Spectra,
-    simulation: Simulation,
-    *,
-    seed: int = 0,
-    progress: Callable[[str], None] = lambda _: None,
+    spectra: Spectra, simulation: Simulation, *, seed: int = 0, progress: Callable[[str], None] = lambda _: None
 ) -> tuple[dict[str, Any], list[StationReport]]:
     """Find what the simulation gets wrong in the spectra of every station.
 

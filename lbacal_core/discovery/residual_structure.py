@@ -162,11 +162,7 @@ class ResidualStructure:
 
 
 def find_structure(
-    model: LinearModel,
-    rng: np.random.Generator,
-    alpha: float,
-    again: float | None = None,
-    along: Collection[str] = (),
+    model: LinearModel, rng: np.random.Generator, alpha: float, again: float | None = None, along: Collection[str] = ()
 ) -> ResidualStructure | None:
     """Find the most significant residual structure, or None.
 

@@ -27,12 +27,7 @@ from lbacal_core.discovery.hypothesis import Hypothesis, Target, list_targets, p
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.refit import FittedModel, refit
-from lbacal_core.discovery.residual_structure import (
-    STATION,
-    ResidualStructure,
-    find_structure,
-    structure_along,
-)
+from lbacal_core.discovery.residual_structure import STATION, ResidualStructure, find_structure, structure_along
 from lbacal_core.discovery.scan import Score, shares_taken
 from lbacal_core.discovery.sentences import SENTENCE
 from lbacal_core.discovery.station import SkyModes, Station

@@ -183,10 +183,7 @@ def find_months(time_unix: Floats) -> tuple[NDArray[np.datetime64], NDArray[np.i
 
 
 def add_events(
-    kept: EventModes,
-    new: SpectraBlock,
-    references: Mapping[int, CalibrationCurve],
-    simulation: Simulation,
+    kept: EventModes, new: SpectraBlock, references: Mapping[int, CalibrationCurve], simulation: Simulation
 ) -> EventModes | None:
     """Events of one polarisation of a station, and some more; None where the whole year is to be read.
 

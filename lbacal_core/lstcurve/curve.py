@@ -318,11 +318,7 @@ def compare_lst_curve(
             for dipole in DIPOLES
         ),
         Provenance(
-            inputs={
-                "lst_curve": curve.digest(),
-                "sky_power": sky_power.digest(),
-                "instrument": instrument.digest(),
-            },
+            inputs={"lst_curve": curve.digest(), "sky_power": sky_power.digest(), "instrument": instrument.digest()},
             settings={"band_mhz": list(band_mhz), "sky_power": sky_power.origin},
         ),
     )

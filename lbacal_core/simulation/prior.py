@@ -23,13 +23,7 @@ from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import hash_content
 from lbacal_core.sky.antenna_of import antenna_of
-from lbacal_core.sky.differences import (
-    LST_HOURS,
-    ZENITH_GAIN,
-    DifferenceModels,
-    compute_model_differences,
-    waves_at,
-)
+from lbacal_core.sky.differences import LST_HOURS, ZENITH_GAIN, DifferenceModels, compute_model_differences, waves_at
 from lbacal_core.sky.power import compute_sky_power, vary_sky_power
 from lbacal_core.sky.sky_terms import PAPER, SKY_BUDGETS, SkyTerm, sky_terms
 

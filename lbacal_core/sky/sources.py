@@ -24,11 +24,7 @@ HERTZ_PER_MHZ = 1e6
 
 
 def response_towards(
-    instrument: Instrument,
-    dipole: str,
-    zenith: Floats,
-    azimuth: Floats,
-    antenna: str | AntennaModel | None = None,
+    instrument: Instrument, dipole: str, zenith: Floats, azimuth: Floats, antenna: str | AntennaModel | None = None
 ) -> Floats:
     """D of one dipole towards directions, shape (..., freq); 0 below the horizon.
 

@@ -163,9 +163,7 @@ class _Reduced:
 
 
 def measure_background(
-    references: Sequence[TraceReference],
-    settings: CleaningSettings,
-    pulse_unix: float | None = None,
+    references: Sequence[TraceReference], settings: CleaningSettings, pulse_unix: float | None = None
 ) -> list[PathBackground]:
     """Measure the background spectra of the traces of one station event.
 

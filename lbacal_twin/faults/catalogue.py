@@ -118,11 +118,7 @@ def catalogue_faults() -> dict[str, Cause]:
 
 
 def draw_fault(
-    cause: str,
-    rng: np.random.Generator,
-    settings: TwinSettings,
-    size: float | None = None,
-    where: Where = EVERYWHERE,
+    cause: str, rng: np.random.Generator, settings: TwinSettings, size: float | None = None, where: Where = EVERYWHERE
 ) -> Fault:
     """Draw one fault of a cause: its settings, and a date in the middle of the campaign; typical size unless given."""
     known = catalogue_faults()

@@ -20,8 +20,7 @@ Check = Annotated[bool, typer.Option("--check", help="Only ask whether one lives
 
 
 def scheduler(
-    once: Annotated[bool, typer.Option("--once", help="Look for due work now, and end.")] = False,
-    check: Check = False,
+    once: Annotated[bool, typer.Option("--once", help="Look for due work now, and end.")] = False, check: Check = False
 ) -> None:
     """Find due refits: now, which makes up for missed days, and then once a day. It enqueues, workers do.
 

@@ -41,11 +41,7 @@ router = APIRouter(tags=["drift"])
 
 @reads(router, "/v1/drift", wire.DriftAnswer, takes_turn=True)
 def get_drift(
-    request: Request,
-    use: UseCases,
-    station: str | None = None,
-    antenna: AntennaQuery = None,
-    dipole: str | None = None,
+    request: Request, use: UseCases, station: str | None = None, antenna: AntennaQuery = None, dipole: str | None = None
 ) -> Response:
     """Show C over time, relative to the first year.
 

@@ -113,9 +113,7 @@ investigations = APIRouter(tags=["investigations"])
 
 @acts(investigations, "/v1/investigations", InvestigationBody, wire.RefitAnswer, 409, 429, status=202)
 def request_investigation(
-    request: Request,
-    use: UseCases,
-    order: Annotated[Order[InvestigationBody], ordered(InvestigationBody, RUN)],
+    request: Request, use: UseCases, order: Annotated[Order[InvestigationBody], ordered(InvestigationBody, RUN)]
 ) -> Response:
     """Ask what the simulation gets wrong in stored spectra.
 

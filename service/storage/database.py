@@ -41,13 +41,7 @@ REVISION = text("SELECT version_num FROM alembic_version")
 READ_ONLY = "the database takes no writes now"
 OTHER_SCHEMA = "the database schema is not the one this version needs: run `lbacal db upgrade`"
 
-_OF_STATE = {
-    "53100": FULL,
-    "25006": READ_ONLY,
-    "55P03": BUSY,
-    "42P01": OTHER_SCHEMA,
-    "42703": OTHER_SCHEMA,
-}
+_OF_STATE = {"53100": FULL, "25006": READ_ONLY, "55P03": BUSY, "42P01": OTHER_SCHEMA, "42703": OTHER_SCHEMA}
 _OF_CLASS = {
     "08": AWAY,
     "25": "the database ended a transaction that took too long",
@@ -108,11 +102,7 @@ BUSY_S = 10
 """How long SQLite waits for another process that writes."""
 POOL_S = 5
 """How long a use case waits for a connection."""
-PATIENCE = {
-    "statement_timeout": "60s",
-    "lock_timeout": "5s",
-    "idle_in_transaction_session_timeout": "60s",
-}
+PATIENCE = {"statement_timeout": "60s", "lock_timeout": "5s", "idle_in_transaction_session_timeout": "60s"}
 """What PostgreSQL ends by itself, on every connection. A promotion is given less (see `LedgerStore.lock`)."""
 ASKERS = 8
 """Connections for questions of a statement or two; such a question has its connection for about a millisecond."""

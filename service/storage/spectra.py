@@ -12,18 +12,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from sqlalchemy import (
-    ColumnElement,
-    Connection,
-    Row,
-    Select,
-    bindparam,
-    exists,
-    func,
-    select,
-    union_all,
-    update,
-)
+from sqlalchemy import ColumnElement, Connection, Row, Select, bindparam, exists, func, select, union_all, update
 
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import BadInputError

@@ -139,9 +139,7 @@ def read_events(arrays: Mapping[str, Any]) -> dict[str, EventModes]:
     """Read what `write_events` wrote, by dipole, in single precision."""
     return {
         dipole: EventModes(
-            arrays[f"{dipole}.antennas"],
-            arrays[f"{dipole}.time_us"] / SECOND_US,
-            arrays[f"{dipole}.ln_c"],
+            arrays[f"{dipole}.antennas"], arrays[f"{dipole}.time_us"] / SECOND_US, arrays[f"{dipole}.ln_c"]
         )
         for dipole in sorted({name.partition(".")[0] for name in arrays})
     }

@@ -44,14 +44,7 @@ from service.storage.sums import KeptPiece, Served, Sums, name_pieces, read_piec
 from service.storage.versions import BEHIND, BUDGET, Examined, Version
 from service.usecases.drift import year_of
 from service.usecases.orders import hash_covariates
-from service.usecases.windows import (
-    ALONE,
-    Neighbours,
-    name_beside,
-    name_windows,
-    scope_of,
-    share_misfits,
-)
+from service.usecases.windows import ALONE, Neighbours, name_beside, name_windows, scope_of, share_misfits
 
 MOST_LOOKED_AT = 10_000
 """Spectra of stations whose unit is known to be that of power."""
@@ -315,11 +308,7 @@ class Fits:
         return Made(versions, budgets, [one for one in kept if one.lines])
 
     def _fit_pieces(
-        self,
-        whole: FittedCauses,
-        wanted: Wanted,
-        neighbours: Neighbours,
-        budget: Budget | None,
+        self, whole: FittedCauses, wanted: Wanted, neighbours: Neighbours, budget: Budget | None
     ) -> Iterator[tuple[list[Version], FitReport, Wanted]]:
         """Fit the pieces of a window, that with the most spectra first: it has the budget of all, and may lend."""
         made, named, instrument = self.clock(), _name_sizes(whole, wanted, neighbours), self.simulation.instrument

@@ -152,9 +152,7 @@ def test_every_setting_is_passed_on(compose: dict[str, Any]) -> None:
     assert passed == {f"LBACAL_{name.upper()}" for name in Settings.model_fields} | {"LBACAL_DASK"}
 
 
-def test_services_wait_for_what_they_need_are_looked_after_and_reached_from_here_only(
-    compose: dict[str, Any],
-) -> None:
+def test_services_wait_for_what_they_need_are_looked_after_and_reached_from_here_only(compose: dict[str, Any]) -> None:
     services = compose["services"]
     assert services["api"]["ports"] == ["${BIND:-127.0.0.1}:${PORT:-8000}:8000"]
     for name, service in services.items():

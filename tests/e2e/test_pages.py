@@ -159,10 +159,7 @@ def list_pages(service: Any) -> list[str]:
     return [*PAGES, f"/investigations/{made['id']}", of_version, f"/jobs/{job['job']}", "/log-in"]
 
 
-@pytest.mark.parametrize(
-    ("width", "scheme", "has_script"),
-    [(1400, "light", True), (390, "dark", False)],
-)
+@pytest.mark.parametrize(("width", "scheme", "has_script"), [(1400, "light", True), (390, "dark", False)])
 def test_every_page_is_whole_and_has_no_barrier(
     browser: Browser, service: Any, width: int, scheme: Any, has_script: bool
 ) -> None:

@@ -12,14 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lbacal_paper.everything import (
-    BEGIN,
-    END,
-    WITHOUT_DATA,
-    WITHOUT_SHOWERS,
-    describe_claims,
-    insert_claims,
-)
+from lbacal_paper.everything import BEGIN, END, WITHOUT_DATA, WITHOUT_SHOWERS, describe_claims, insert_claims
 from lbacal_paper.statements import BY_CONSTRUCTION, UNTESTED, VERDICTS, load_statements
 
 MOST_BYTES = 10_000_000

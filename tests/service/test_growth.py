@@ -43,15 +43,7 @@ from service.usecases.drift_measurement import write_events
 from service.usecases.fits import read_fits
 from service.usecases.intake import judge_far
 from service.usecases.watch import KIND as WATCH
-from tests.service.conftest import (
-    add_spectra,
-    flat_spectra,
-    get_job,
-    instant,
-    name_in_server,
-    new_version,
-    work,
-)
+from tests.service.conftest import add_spectra, flat_spectra, get_job, instant, name_in_server, new_version, work
 from validation.running.ledger import open_factory, write_promotions
 from validation.running.postgres import open_databases
 

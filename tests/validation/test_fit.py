@@ -6,14 +6,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.sky.table import SkyPower
-from validation.fit import (
-    Scene,
-    draw,
-    example_scene,
-    fit_published_noise,
-    published_noise_scene,
-    scene_of_noise_terms,
-)
+from validation.fit import Scene, draw, example_scene, fit_published_noise, published_noise_scene, scene_of_noise_terms
 from validation.machinery.parts import Row
 from validation.machinery.records import verdicts_of
 

@@ -36,10 +36,7 @@ MISTAKES: dict[str, tuple[Callable[[], None], str]] = {
         "latitude_deg: expected -90 to 90, found 116.76; longitude is -26.82: are the two exchanged?",
     ),
     "LNA for lna": (lambda: make(chain=stages(lbacal.Stage("LNA", 10))), "stage 'LNA': kind: expected one of antenna,"),
-    "no gain": (
-        lambda: make(chain=stages(lbacal.Stage("lna", noise="free"))),
-        "'lna': expected a gain, found none",
-    ),
+    "no gain": (lambda: make(chain=stages(lbacal.Stage("lna", noise="free"))), "'lna': expected a gain, found none"),
     "a temperature below 0": (
         lambda: make(chain=stages(lbacal.Stage("load", noise=-5))),
         "stage 'load': noise temperature: expected numbers > 0, found -5.0",
@@ -48,10 +45,7 @@ MISTAKES: dict[str, tuple[Callable[[], None], str]] = {
         lambda: make(chain=stages(lbacal.Stage("lna", 10, noise="free", error=5))),
         "expected an error >= 0 of a known noise temperature",
     ),
-    "kelvin without m^2": (
-        lambda: make(chain=KELVIN),
-        "antenna: gain_source: expected where the G_ant of gain=",
-    ),
+    "kelvin without m^2": (lambda: make(chain=KELVIN), "antenna: gain_source: expected where the G_ant of gain="),
 }
 
 

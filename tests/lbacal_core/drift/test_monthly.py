@@ -5,12 +5,7 @@ import pytest
 
 from lbacal_core.calibration.years import gain_modes
 from lbacal_core.curves.curves import CalibrationCurve, Parameter
-from lbacal_core.drift.events import (
-    EventModes,
-    add_events,
-    average_months,
-    measure_event_modes,
-)
+from lbacal_core.drift.events import EventModes, add_events, average_months, measure_event_modes
 from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.instrument.chain import calibration_factor
 from lbacal_core.instrument.instrument import Instrument

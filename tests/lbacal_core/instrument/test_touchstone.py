@@ -45,11 +45,7 @@ def test_of_two_ports_s21_stands_before_s12_and_noise_parameters_behind_are_left
         ("a.s1p", "", "a line such as # MHz S RI R 50), found none"),
         ("a.s1p", "40 0.5 0\n", "a line such as # MHz S RI R 50), found none"),
         ("a.s1p", "# MHz S MA R 50\n", "rows of finite numbers, their frequencies rising, found 0 rows"),
-        (
-            "a.s1p",
-            "# MHz Y MA R 50\n40 0.5 0\n",
-            "by Hz, kHz, MHz or GHz as RI, MA or DB, found Y",
-        ),
+        ("a.s1p", "# MHz Y MA R 50\n40 0.5 0\n", "by Hz, kHz, MHz or GHz as RI, MA or DB, found Y"),
         ("a.s1p", "# MHz S MA R fifty\n40 0.5 0\n", "a.s1p: R: expected the reference impedance in ohm, found 'FIFTY'"),
         ("a.s1p", "# MHz S MA R\n40 0.5 0\n", "expected the reference impedance in ohm, found ''"),
         ("a.s1p", "# MHz S MA R 50\n40 nan 0\n", "rows of finite numbers"),

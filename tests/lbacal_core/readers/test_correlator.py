@@ -88,11 +88,7 @@ def test_a_file_whose_autocorrelations_are_not_where_they_belong_is_refused(tmp_
 
 
 @pytest.mark.parametrize(
-    ("facts", "message"),
-    [
-        ({"n_antennas": 5}, r"shape \(1, 1, 15, 4\)"),
-        ({"tsamp": 0.0}, "seconds > 0"),
-    ],
+    ("facts", "message"), [({"n_antennas": 5}, r"shape \(1, 1, 15, 4\)"), ({"tsamp": 0.0}, "seconds > 0")]
 )
 def test_a_file_that_contradicts_itself_is_refused(tmp_path, facts, message):
     write_file(tmp_path / "a.hdf5", voltages_of(1, 1), 100, **facts)

@@ -8,14 +8,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.errors import BadInputError
-from lbacal_core.sky.table import (
-    SkyPower,
-    fewest_harmonics,
-    make_even,
-    most_harmonics,
-    read_sky_power,
-    write_sky_power,
-)
+from lbacal_core.sky.table import SkyPower, fewest_harmonics, make_even, most_harmonics, read_sky_power, write_sky_power
 
 FREQUENCY = np.array([30.0, 50.0, 80.0])
 ANYWHERE = np.random.default_rng(1).uniform(-30.0, 60.0, 200)

@@ -25,10 +25,7 @@ def filled(factory: Factory) -> Factory:
 
 @pytest.mark.parametrize(
     ("route", "body", "parts"),
-    [
-        ("refits", REFIT, 2),
-        ("investigations", {"since": "2014-01-01", "until": "2016-01-01", "reason": "test"}, 4),
-    ],
+    [("refits", REFIT, 2), ("investigations", {"since": "2014-01-01", "until": "2016-01-01", "reason": "test"}, 4)],
 )
 def test_an_order_that_could_never_fit_was_told_to_try_again(
     filled: Factory, route: str, body: dict[str, Any], parts: int

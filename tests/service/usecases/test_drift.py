@@ -22,14 +22,7 @@ from service.storage.drift import PathMonths
 from service.storage.jobs import Order
 from service.storage.sums import Sums
 from service.storage.versions import MeanC, Version
-from service.usecases.drift import (
-    VersionPoint,
-    explain_version,
-    keep_months,
-    read_months,
-    start_of_year,
-    summarise,
-)
+from service.usecases.drift import VersionPoint, explain_version, keep_months, read_months, start_of_year, summarise
 from service.usecases.drift_measurement import KIND
 from tests.service.conftest import add_spectra, flat_spectra, new_version, night, work
 
