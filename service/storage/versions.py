@@ -312,20 +312,22 @@ class VersionStore(Store):
     def uncut(self, ids: Collection[str], instant: Instant) -> dict[str, str]:
         """The version that each of some would be if nothing cut its window, by id.
 
-        By the same simulation, it has the longest window that holds an instant, with at least half of the events; there
-        the newest spectra, and among those that have these it was made first, whatever other windows lent.
+        Promoted once and by the same simulation, it has the longest window that holds an instant, with at least half of
+        the events; there the newest spectra, and of those that have these it was made first, whatever others lent it.
         """
         names = ("id", "scope", "since_us", "until_us", "events", "inputs")
         columns = [calibration.c[name] for name in names]
         wanted = self._connection.execute(select(*columns).where(calibration.c.id.in_(ids))).all()
         if not wanted:
             return {}
+        scopes = {row.scope for row in wanted}
         is_like = (
-            calibration.c.scope.in_({row.scope for row in wanted}),
+            calibration.c.scope.in_(scopes),
+            calibration.c.id.in_(select(promotion.c.calibration).where(promotion.c.scope.in_(scopes))),
             calibration.c.since_us <= instant,
             calibration.c.until_us > instant,
             2 * calibration.c.events >= min(row.events for row in wanted),
-            or_(and_(calibration.c.status == CONVERGED, calibration.c.gate.is_(None)), calibration.c.id.in_(ids)),
+            or_(calibration.c.status == CONVERGED, calibration.c.id.in_(ids)),
         )
         of_scope = defaultdict[str, list[Row[Any]]](list)
         for row in self._connection.execute(select(*columns).where(*is_like).order_by("made_us", "id")):
