@@ -2,8 +2,8 @@
 
 Clean: part of a year of three stations in a drawn world with everything that such a year brings; fit and budget know
 neither the world's sky nor its antenna, and not the models that they were drawn from. C of its paths has to lie within
-two standard deviations of the true one as often as that says; of what no world has, the level of the sky and the shape
-of G_ant are drawn by their published errors. Wrong: an input of a clean campaign is
+two standard deviations of the true one as often as that says; the level of the sky, which few worlds change, and the
+shape of G_ant are drawn by their published errors. Wrong: an input of a clean campaign is
 mistaken in a way that users have mistaken it; such curves converged without a word.
 """
 
@@ -53,7 +53,7 @@ FIRST_SEED = 600_000_000
 
 
 LEVEL = 0.12
-"""Standard deviation of the level that models of the sky have in common (arXiv 2211.03086): no world departs by it."""
+"""Standard deviation of the level that models of the sky have in common (arXiv 2211.03086): few worlds depart by any."""
 BUDGET = "models"
 AT_MHZ = (35.0, 55.0, 75.0)
 

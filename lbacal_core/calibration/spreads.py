@@ -63,8 +63,8 @@ def measure_spreads(paths: SinglePaths, reference_slope: Floats, mean_loss: Floa
     reference_slope, mean_loss
         s_ref and L_ref of the reference chain, shape (freq,).
     """
-    served = reference_slope * paths.loss / mean_loss
-    departure, sigma = paths.slope / served - 1.0, paths.sigma / served
+    expected = reference_slope * paths.loss / mean_loss
+    departure, sigma = paths.slope / expected - 1.0, paths.sigma / expected
     everything = np.ones(len(paths.cables), dtype=bool)
     all_paths = _spread_of(departure, sigma, everything)
     if all_paths is None:
@@ -129,9 +129,9 @@ class RandomEffect:
         The variance of a channel departs from that of the band by the part of its own departure that noise does not
         make (empirical Bayes: Morris 1983, J. Am. Stat. Assoc. 78, 47).
         """
-        weight = self.information / np.sum(self.information)
-        beyond = self.variance - np.sum(weight * self.variance)
-        own = max(float(np.sum(weight * (beyond**2 - 1.0 / self.information))), 0.0)
+        total = float(np.sum(self.information))
+        beyond = self.variance - np.sum(self.information * self.variance) / total
+        own = max(float(np.sum(self.information * beyond**2) - beyond.size) / total, 0.0)
         return np.asarray(np.sqrt(self.variance - beyond / (1.0 + own * self.information)))
 
 
