@@ -53,7 +53,7 @@ FIRST_SEED = 600_000_000
 
 
 LEVEL = 0.12
-"""Standard deviation of the level that models of the sky have in common (arXiv 2211.03086): few worlds depart by any."""
+"""Standard deviation of the level of the sky (arXiv 2211.03086): few worlds depart by any."""
 BUDGET = "models"
 AT_MHZ = (35.0, 55.0, 75.0)
 
