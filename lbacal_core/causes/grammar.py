@@ -355,13 +355,13 @@ COURSES: dict[str, Kind] = {
     "between": Kind(
         lambda c, begin, days: c.after(_unix(begin))[:, 0] - c.after(_unix(begin) + days * DAY_S)[:, 0],
         lambda c: (
-            [(write_instant(at), days) for days in (10.0, 20.0, 40.0, 90.0) for at in c.step_dates(36)]
+            [(write_instant(at), days) for days in (10.0, 20.0, 30.0, 45.0, 65.0, 90.0) for at in c.step_dates(36)]
             if c.has_dates
             else []
         ),
         "for {1:g} days from {0} on",
         "({0} <= t < {0} + {1:g} d)",
-        (0.0, 10.0),
+        (0.0, 20.0),
         gates=True,
     ),
     "ramp": Kind(
@@ -375,7 +375,7 @@ COURSES: dict[str, Kind] = {
     "near": Kind(_near, _spells, "", "exp(-({0} - {1:.3g})^2 / 2 {2:.2g}^2)", (0.0, 1 / 12, 0.06)),
     "hours": Kind(
         lambda c, begin, hours: c.in_hours(begin, (begin + hours) % 24.0)[:, 0],
-        lambda c: list(product(np.arange(0.0, 24.0, 3.0).tolist(), (3.0, 6.0, 12.0))) if c.has_all_hours else [],
+        lambda c: list(product(np.arange(0.0, 24.0, 1.5).tolist(), (3.0, 6.0, 9.0, 12.0))) if c.has_all_hours else [],
         "for {1:g} h from {0:g} h UTC on",
         "gate(UTC; {0:g} h, {1:g} h)",
         (3.0, 2.0),
@@ -391,6 +391,12 @@ COURSES: dict[str, Kind] = {
         "with the height of the Sun",
         "sin(height of the Sun)",
     ),
+    "high sun": Kind(
+        lambda c: np.maximum(np.sin(c.sun_altitude), 0.0) ** 2,
+        _where_days,
+        "with the square of the height of the Sun, as a dipole hears it",
+        "sin^2(height of the Sun)",
+    ),
     "working days": Kind(
         lambda c: (_phase(c, WEEK) % 1.0 < 5 / 7).astype(float),
         _where_weeks,
@@ -405,7 +411,7 @@ COURSES: dict[str, Kind] = {
         "Saturday-Sunday",
         gates=True,
     ),
-    "column": Kind(_column, _powers, "with ({0} - {2:g})^{1:g}", "(({0} - {2:g}) / {3:g})^{1:g}", (0, 0, 0, 0)),
+    "column": Kind(_column, _powers, "with ({0} - {2:g})^{1:g}", "(({0} - {2:g}) / {3:g})^{1:g}", (0, 0, 0.2, 0)),
     "over": Kind(
         lambda c, name, level: (np.nan_to_num(c.covariates[name], nan=-np.inf) > level).astype(float),
         lambda c: [(name, one) for name in _columns(c) for one in _quantiles(c, name)[0]],
@@ -491,7 +497,7 @@ def axis_of(course: Form) -> str:
     periods = {SIDEREAL: "lst", SOLAR: "utc", WEEK: 7, ROTATION: 27.3, LUNATION: 29.53}
     by_name = {"working days": 7, "weekend": 7, "late": TEMPERATURE, "wet": RAIN, "always": "lst"}
     by_name |= dict.fromkeys(("sky", "contrast"), "lst")
-    by_name |= dict.fromkeys(("hours", "day", "night", "sun"), "utc")
+    by_name |= dict.fromkeys(("hours", "day", "night", "sun", "high sun"), "utc")
     found = periods.get(numbers[0], "date") if name in ("wave", "near", SERIES) else by_name.get(name, "date")
     return found if isinstance(found, str) else f"date, period {found:g} d"
 
@@ -543,16 +549,19 @@ def finer(kinds: Mapping[str, Kind], form: Form, conditions: Conditions, share: 
         first, second = (finer(kinds, own, conditions, share) for own in (one, other))
         return [*((PRODUCT, same, other) for same in first), *((PRODUCT, one, same) for same in second[1:])]
     moved: list[Form] = []
-    if form[0] in ("step", "between"):
-        moved += [(form[0], write_instant(at), *form[2:]) for at in conditions.dates_about(_unix(form[1]))]
+    if form[0] in ("step", "between"):  # in the middle of a gap between events: an effect begins anywhere in it
+        gaps = pairwise(conditions.dates_about(_unix(form[1])))
+        moved += [(form[0], write_instant(sum(pair) / 2.0), *form[2:]) for pair in gaps]
     moved += [(*form[:2], level) for level in _levels(conditions, form)]
-    unit = _span(conditions) if form[0] in IN_MHZ else 1.0
+    unit = _span(conditions) if form[0] in IN_MHZ else form[4] if form[0] == "column" else 1.0
     for k, step in enumerate(kinds[form[0]].steps, start=1):
         for part in FINER if step else ():
             value = form[k] + part * share * step * unit / (form[2] if form[0] == "wave" else 1.0)
             moved.append((*form[:k], float(f"{value:.10g}"), *form[k + 1 :]))
+    if form[0] in ("between", "hours"):  # beginning and length together: one number undoes what another does
+        moved = [(form[0], *both) for both in product(*(dict.fromkeys(one[k] for one in moved) for k in (1, 2)))]
     low, high = conditions.frequency_mhz[[0, -1]]
-    if form[0] == "ripple":  # the phase in the middle of the band stays, else one number undoes what another does
+    if form[0] == "ripple":  # the phase in the middle of the band stays likewise
         middle = 0.5 * (low + high)
         moved = [(*one[:2], float(f"{(one[2] + (one[1] - form[1]) * middle) % 1.0:.10g}")) for one in moved]
     return [form, *(one for one in dict.fromkeys(moved) if one != form and _is_sensible(one, low, high))]
@@ -826,7 +835,7 @@ def _check(kinds: Mapping[str, Kind], form: Form) -> None:
 
 
 def _as_form(value: Sequence[Any]) -> Form:
-    return tuple(_as_form(one) if isinstance(one, Sequence) and not isinstance(one, str) else one for one in value)
+    return tuple(_as_form(one) if isinstance(one, list | tuple) else one for one in value)
 
 
 _PAIRS = (("working days", "weekend"), ("day", "night"), ("over", "under"))

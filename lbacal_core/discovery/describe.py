@@ -1,8 +1,9 @@
 """Residual structure in words: the sentences (`causes.grammar`) that describe it best, with their odds.
 
 Every sentence has a score in the residuals. Its description length is taken from its gain in chi^2: one of a family
-with many members gains more by chance. Products of two courses grow from the best single ones, and the best few of all
-are fitted with the chain, without linearising, and asked what they gain on unseen events.
+with many members gains more by chance. The best are varied: another law, place or course, a product with a second
+course, or numbers that are estimated. The best few of all are fitted with the chain, without linearising, and asked
+what they gain on unseen events.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from itertools import pairwise, product
 
 import numpy as np
 
-from lbacal_core.causes.cause import TEMPERATURE, Conditions, signature
+from lbacal_core.causes.cause import TEMPERATURE, Conditions, Template, signature
 from lbacal_core.causes.grammar import PLACES, list_courses, list_laws, parts_of, rough_laws
 from lbacal_core.discovery.findings import gain_in_chi_squared
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
@@ -29,20 +30,27 @@ from lbacal_core.discovery.sentences import (
     best_of_families,
     estimate_sentence,
     likeliest_sentences,
+    places_of,
     refine_sentence,
     score_gated,
     score_sentences,
+    vary_sentence,
 )
 from lbacal_core.grids import Floats
 
-LIKELY, KEPT, FITTED, ESTIMATED = 12, 6, 4, 3
-"""Courses that are tried with all laws, sentences from which products grow, sentences fitted with the chain, and places
-for which a law and a course are estimated."""
+LIKELY, KEPT, FITTED = 12, 6, 4
+"""Courses that are tried with all laws, sentences tried for all targets, and sentences fitted with the chain."""
+ROUNDS, REFINED = 4, 4
+"""Rounds in each of which a sentence is varied, and variations whose numbers are moved."""
+SHARE = 0.5
+"""Share of the gain of the best variation below which the numbers of another are not moved."""
+RIPPLED = ("front", "converter")
+"""Places at which ripples are tried with all courses: they look alike at others."""
 POINTED_BY: Sequence[str] = ("sky", "polarisation", "receiver", "converter")
 """Places whose sentences choose the target for which all are tried."""
 RIVAL = 3.0
 """ln of the odds below which two sentences are rivals: 1 to 20."""
-FITTED_WITHIN = 10.0
+FITTED_WITHIN = 5.0
 """ln of the odds below which, before the fit with the chain, a sentence may still become a rival."""
 FEWEST_ALIKE = 4
 """Antennas from which one asks whether they show a sentence by an amount that grows with their number."""
@@ -139,7 +147,7 @@ def describe_structure(
     seen += [also] if also is not None and all(one.label != also.label for one in seen) else []
     if not seen:
         return Description()
-    likely = _search(model.linear, seen, targets, policy)
+    likely = _search(model.linear, seen, targets)
     fitted = [_fit(model, one) for one in likely if one.gain > likely[0].gain - 2.0 * FITTED_WITHIN]
     order = sorted((one for one in fitted if one is not None), key=lambda one: -one[0].log_odds)
     said = [one for one, _ in order if one.log_odds > CERTAIN and one.held_out_gain > 0.0]
@@ -156,20 +164,17 @@ def describe_structure(
     )
 
 
-# The search: all courses with a few laws, all laws with the best courses, products of these, and finer numbers.
+# The search: all courses with a few laws, all laws with the best courses, then one part after the other of the best.
 
 
-def _search(
-    model: LinearModel, seen: Sequence[Target], targets: Sequence[Target], policy: Policy
-) -> list[ScoredSentence]:
+def _search(model: LinearModel, seen: Sequence[Target], targets: Sequence[Target]) -> list[ScoredSentence]:
     """The likeliest sentences of different families, for the target that shows them best."""
     conditions, choices = model.station.conditions, len(targets)
     noticed = [likeliest_sentences(model, one, choices, POINTED_BY)[0] for one in seen] if len(seen) > 1 else []
     whole = max(noticed, key=lambda one: one.gain).target if noticed else seen[0]
-    places = [
-        name for name, place in PLACES.items() if not place.moves and (whole.scope != "path" or not place.needs_both)
-    ]
-    spectra = list(product(places, rough_laws(conditions)))
+    places = [name for name in places_of(whole) if not PLACES[name].moves]
+    ripples = [law for law in list_laws(conditions) if law[0] == "ripple"]
+    spectra = [*product(places, rough_laws(conditions)), *product(RIPPLED, ripples)]
     rough = score_sentences(model, [whole], spectra, list_courses(conditions), choices)
     likely = list(dict.fromkeys(parts_of(one.template)[2] for one in best_of_families(rough)))[:LIKELY]
     spectra = list(product(places, list_laws(conditions)))
@@ -183,11 +188,19 @@ def _search(
         found += score_sentences(model, targets, [(place, law)], [course])
     for one in best_of_families(found)[:KEPT]:
         found += score_gated(model, [one.target], one, choices)
-    refined = best_of_families([refine_sentence(model, one, policy) for one in best_of_families(found)[: 2 * KEPT]])
-    estimated = [
-        more for one in _best_of_places(refined)[:ESTIMATED] for more in estimate_sentence(model, one, choices)
-    ]
-    return best_of_families([*refined, *estimated])[:FITTED]
+    pool = [refine_sentence(model, one) for one in best_of_families(found)[:KEPT]]
+    tried = list[Template]()
+    while len(tried) < ROUNDS:
+        best = best_of_families(pool)
+        known = {own.family: own.gain for own in best}
+        start = next((own for own in _best_of_places(best) if own.template not in tried), None)
+        if start is None:
+            break
+        tried.append(start.template)
+        varied = best_of_families([*vary_sentence(model, start, choices), *estimate_sentence(model, start, choices)])
+        worth = [other for other in varied[:REFINED] if other.gain > known.get(other.family, SHARE * varied[0].gain)]
+        pool += [refine_sentence(model, other) for other in worth]
+    return _best_of_places(best_of_families(pool))[:FITTED]
 
 
 def _best_of_places(sentences: Sequence[ScoredSentence]) -> list[ScoredSentence]:

@@ -155,7 +155,7 @@ class StationSearch:
         targets = [whole] if best is None or best.target.scope == STATION else [whole, best.target]
         likely = [one for target in targets for one in likeliest_sentences(linear, target, self._choices(target))]
         if best is not None:
-            likely = [refine_sentence(linear, one, self.policy) for one in likely]
+            likely = [refine_sentence(linear, one) for one in likely]
         return sorted(likely, key=lambda one: -one.gain)
 
     def _say(self, before: FittedModel, one: ScoredSentence, gains: Sequence[float]) -> Candidate | None:
@@ -164,7 +164,7 @@ class StationSearch:
         if one.gain < max([least, *gains]):
             return None
         gated = score_gated(linear, [one.target], one, self._choices(one.target))
-        one = refine_sentence(linear, max(gated, key=lambda one: one.gain), self.policy)
+        one = refine_sentence(linear, max(gated, key=lambda one: one.gain))
         self.progress(f"{self.name}: fitting everything again with a sentence")
         fitted = refit(before, Hypothesis(SENTENCE, one.template, one.target, one.size))
         if fitted is None or not _is_possible(fitted):

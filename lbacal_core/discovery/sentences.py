@@ -32,9 +32,8 @@ from lbacal_core.causes.grammar import (
     smooth_in_time,
 )
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
-from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
-from lbacal_core.discovery.scan import Score, SpectralFamily, refine, score_families, score_in_means, score_in_path
+from lbacal_core.discovery.scan import SpectralFamily, group_templates, score_families, score_in_means, score_in_path
 from lbacal_core.grids import Floats
 from lbacal_core.linear import invert_symmetric
 
@@ -46,7 +45,7 @@ OTHER_GATES: Sequence[str] = ("near", "sky")
 """Courses with which a product is tried beside those that are 0 or 1."""
 TRIED = 3
 """Sentences whose numbers are moved before one is held against a cause."""
-SHARES_OF_STEP = (1.0, 0.5, 0.25)
+SHARES_OF_STEP = (1.0, 1.0, 0.5, 0.25)
 """Shares of the steps of the grid by which numbers are moved, one after the other."""
 CERTAIN = 7.0
 """ln of the odds against chance from which a sentence is said: 1 in 1000, as for a cause of the catalogue."""
@@ -78,7 +77,7 @@ class ScoredSentence:
     def family(self) -> tuple[str, ...]:
         """Target, place, and the names of law and course: what rivals differ by."""
         place, law, course = parts_of(self.template)
-        return self.target.label, place, law[0], *names_in(course)
+        return self.target.label, place, law[0], *sorted(names_in(course))
 
 
 def likeliest_sentences(
@@ -104,31 +103,29 @@ def score_sentences(
     courses: Sequence[Form],
     choices: int = 1,
 ) -> list[ScoredSentence]:
-    """The best course for every place and law, with its target; of `choices`, where that was chosen before."""
+    """The best course of each name for every place and law, with its target; of `choices` if that was chosen before."""
     conditions, found = model.station.conditions, list[ScoredSentence]()
     length = Lengths(conditions, max(len(targets), choices))
     by_events: dict[bytes, dict[tuple[str, ...], list[Form]]] = {}
     for course in courses:
-        columns = columns_of(course)
-        on_events = by_events.setdefault(conditions.known_events(*columns).tobytes(), {})
-        on_events.setdefault(columns, []).append(course)
-    for by_columns in by_events.values():
-        alike = [one for own in by_columns.values() for one in own]
+        on_events = by_events.setdefault(conditions.known_events(*columns_of(course)).tobytes(), {})
+        on_events.setdefault(names_in(course), []).append(course)
+    for by_name in by_events.values():
+        alike = [one for own in by_name.values() for one in own]
         profiles = np.stack([course_of(conditions, one) for one in alike])
-        families = [
-            SpectralFamily(SENTENCE, [sentence(place, law, one) for one in alike], profiles) for place, law in spectra
-        ]
+        families = [SpectralFamily(SENTENCE, [sentence(*spectrum, alike[0])], profiles) for spectrum in spectra]
         known = model.on_events(families[0].known_events(conditions))
-        of_course = np.array([length.temporal(one) for one in alike])
-        ends = np.cumsum([0, *(len(own) for own in by_columns.values())]).tolist()
+        of_course = np.array([length.temporal(one, 1.0) for one in alike])
+        ends = np.cumsum([0, *(len(own) for own in by_name.values())]).tolist()
         for batch, z, size in _scores(known, families, targets):
             for (s, family), (begin, end) in product(enumerate(batch), pairwise(ends)):
                 worth = z[s, :, begin:end] ** 2 - of_course[begin:end]
                 t, at = (int(one) for one in np.unravel_index(int(np.argmax(worth)), worth.shape))
                 k = begin + at
-                template, own = family.templates[k], (float(z[s, t, k]), float(size[s, t, k]))
-                whole = float(of_course[k] + length.spectral(parts_of(template)[1]))
-                found.append(ScoredSentence(template, targets[t], *own, whole))
+                place, law, _ = parts_of(family.templates[0])
+                own = (float(z[s, t, k]), float(size[s, t, k]))
+                whole = length.spectral(law, own[0] ** 2) + length.temporal(alike[k], own[0] ** 2)
+                found.append(ScoredSentence(sentence(place, law, alike[k]), targets[t], *own, whole))
     return found
 
 
@@ -148,30 +145,35 @@ def score_gated(
 ) -> list[ScoredSentence]:
     """The best of a sentence, and of its products with courses that say when it acts."""
     place, law, course = parts_of(one.template)
-    gates = [
-        gate for gate in list_courses(model.station.conditions) if COURSES[gate[0]].gates or gate[0] in OTHER_GATES
-    ]
-    together = [(PRODUCT, course, gate) for gate in gates if names_in(gate) != names_in(course)]
-    return score_sentences(model, targets, [(place, law)], [course, *together], choices)
+    gates = _gates(model.station.conditions)
+    together = [course, *(multiply(course, gate) for gate in gates)]
+    return score_sentences(model, targets, [(place, law)], list(dict.fromkeys(together)), choices)
 
 
 class Lengths:
-    """Description lengths in chi^2: twice the ln of the number of alternatives at each choice, that of a target too."""
+    """Description lengths in chi^2: twice the ln of the number of alternatives at each choice, that of a target too.
+
+    Each estimated number beside the size is told to one part in the score: its length is the ln of the gain (Schwarz
+    1978, Ann. Statist. 6, 461, with the information on a number in the place of the count of values).
+    """
 
     def __init__(self, conditions: Conditions, targets: int) -> None:
         self._laws = Counter(one[0] for one in list_laws(conditions))
         self._courses = Counter(one[0] for one in list_courses(conditions))
         self._targets = targets
 
-    def spectral(self, law: Form) -> float:
-        """Length of place, law and target."""
-        return float(2.0 * np.log(len(PLACES) * len(LAWS) * max(self._laws[law[0]], 1) * self._targets))
+    def spectral(self, law: Form, gain: float) -> float:
+        """Length of place, law and target of a sentence with a gain in chi^2."""
+        alternatives = len(PLACES) * len(LAWS) * max(self._laws[law[0]], 1) * self._targets
+        estimated = (law[0] == CURVE) * (len(law) - 2) * np.log(max(gain, 1.0))
+        return float(2.0 * np.log(alternatives) + estimated)
 
-    def temporal(self, course: Form) -> float:
+    def temporal(self, course: Form, gain: float) -> float:
         """Length of a course of `causes.grammar`; a product is as long as both."""
         if course[0] == PRODUCT:
-            return self.temporal(course[1]) + self.temporal(course[2])
-        return float(2.0 * np.log(len(COURSES) * max(self._courses[course[0]], 1)))
+            return self.temporal(course[1], gain) + self.temporal(course[2], gain)
+        estimated = (course[0] == SERIES) * (len(course) - 3) * np.log(max(gain, 1.0))
+        return float(2.0 * np.log(len(COURSES) * max(self._courses[course[0]], 1)) + estimated)
 
 
 def best_of_families(scored: Sequence[ScoredSentence]) -> list[ScoredSentence]:
@@ -182,42 +184,79 @@ def best_of_families(scored: Sequence[ScoredSentence]) -> list[ScoredSentence]:
     return list(best.values())
 
 
-def refine_sentence(model: LinearModel, one: ScoredSentence, policy: Policy) -> ScoredSentence:
+def refine_sentence(model: LinearModel, one: ScoredSentence) -> ScoredSentence:
     """The same with the best numbers of law and course, of which one is moved at a time, and with a positive size."""
     conditions = model.station.conditions
     for share in SHARES_OF_STEP:
-        cause = Sentence(share_of_step=share)
-        template = refine(model, Score(cause, one.template, one.target, one.z, one.size, 0), policy).template
-        turned = opposite(template) if one.size < 0.0 else None
-        template = turned or template
-        family = SpectralFamily(SENTENCE, [template], SENTENCE.time_profile(conditions, template).T)
-        known = model.on_events(family.known_events(conditions))
-        ((_, z, size),) = score_families(known, [family], [one.target])
-        one = replace(one, template=template, z=z.item(), size=size.item())
-    return one
+        moved = Sentence(share_of_step=share).finer_templates(conditions, one.template)
+        one = max(_score_alike(model, one, moved), key=lambda tried: abs(tried.z))
+        turned = opposite(one.template) if one.size < 0.0 else None
+        if turned is not None:
+            (one,) = _score_alike(model, one, [turned])
+    return _score_exactly(model, one)
+
+
+def _score_exactly(model: LinearModel, one: ScoredSentence) -> ScoredSentence:
+    """The same with the score that a cause has, in the means and in the deviations of all paths."""
+    known = model.on_events(SENTENCE.known_events(model.station.conditions, one.template))
+    families = group_templates(known.station.conditions, SENTENCE, [one.template])
+    ((_, z, size),) = score_families(known, families, [one.target])
+    return replace(one, z=z.item(), size=size.item())
+
+
+def _score_alike(model: LinearModel, one: ScoredSentence, templates: Sequence[Template]) -> list[ScoredSentence]:
+    """Templates that read the columns of a sentence, for its target and with its length, in their order."""
+    known = model.on_events(SENTENCE.known_events(model.station.conditions, one.template))
+    found: dict[tuple[object, ...], ScoredSentence] = {}
+    for batch, z, size in _scores(known, group_templates(known.station.conditions, SENTENCE, templates), [one.target]):
+        for family, *of_family in zip(batch, z[:, 0].tolist(), size[:, 0].tolist(), strict=True):
+            for template, own_z, own_size in zip(family.templates, *of_family, strict=True):
+                found[parts_of(template)] = replace(one, template=template, z=own_z, size=own_size)
+    return [found[parts_of(template)] for template in templates]
+
+
+def vary_sentence(model: LinearModel, one: ScoredSentence, choices: int) -> list[ScoredSentence]:
+    """The same with any other law, at any other place, and with any other course, or another factor of it."""
+    place, law, course = parts_of(one.template)
+    conditions = model.station.conditions
+    spectra = [(place, other) for other in list_laws(conditions)]
+    spectra += [(name, law) for name in places_of(one.target) if PLACES[name].moves == PLACES[place].moves]
+    courses, gates = list_courses(conditions), _gates(conditions)
+    factors = course[1:] if course[0] == PRODUCT else (course,)
+    every = [*courses, *factors, *(multiply(own, gate) for own in factors for gate in gates)]
+    every += [multiply(other, factors[1]) for other in courses] if course[0] == PRODUCT else []
+    found = score_sentences(model, [one.target], spectra, [course], choices)
+    return found + score_sentences(model, [one.target], [(place, law)], list(dict.fromkeys(every)), choices)
+
+
+def places_of(target: Target) -> list[str]:
+    """Places that the data of a target can tell."""
+    return [name for name, place in PLACES.items() if target.scope != "path" or not place.needs_both]
+
+
+def multiply(one: Form, other: Form) -> Form:
+    """The product of two courses; one of them where it is that."""
+    if one == ("always",):
+        return other
+    return one if names_in(one) == names_in(other) else (PRODUCT, one, other)
+
+
+def _gates(conditions: Conditions) -> list[Form]:
+    """Courses with which a product is tried."""
+    return [one for one in list_courses(conditions) if COURSES[one[0]].gates or one[0] in OTHER_GATES]
 
 
 def estimate_sentence(model: LinearModel, one: ScoredSentence, choices: int) -> list[ScoredSentence]:
-    """The same with a course, with a law, and with a law and then a course whose numbers are estimated all together.
-
-    Each number beside the size is told to one part in the score: its length is the ln of the gain (Schwarz 1978, Ann.
-    Statist. 6, 461, with the information on a number in the place of the count of values).
-    """
-    found = list[ScoredSentence]()
+    """The same with a course, with a law, and with a law and then a course whose numbers are estimated all together."""
     length = Lengths(model.station.conditions, choices)
     laws = _estimate(model, one, length, of_law=True)
-    found += laws
-    for start in (one, *laws):
-        found += _estimate(model, start, length, of_law=False)
-    return found
+    return laws + [own for start in (one, *laws) for own in _estimate(model, start, length, of_law=False)]
 
 
 def _estimate(model: LinearModel, one: ScoredSentence, length: Lengths, *, of_law: bool) -> list[ScoredSentence]:
     """The best number of functions of each kind of law, or of course, in the place of that of a sentence."""
     conditions = model.station.conditions
     place, law, course = parts_of(one.template)
-    if of_law and law[0] == CURVE:
-        return []
     known = model.on_events(SENTENCE.known_events(conditions, one.template))
     conditions = known.station.conditions
     shown = spectral_signature(SENTENCE, known.terms, conditions, sentence(place, ("flat",), ("always",)))
@@ -235,11 +274,10 @@ def _estimate(model: LinearModel, one: ScoredSentence, length: Lengths, *, of_la
             gain = max(float(size @ score[:count]), 1.0)
             numbers, scale = _in_units(size, functions[:count])
             own = (*form, *numbers)
-            template = sentence(place, own, course) if of_law else sentence(place, law, own)
-            _, new_law, new_course = parts_of(template)
-            estimated = (count - 1) * np.log(gain)
-            whole = length.spectral(new_law) + length.temporal(new_course) + estimated + 2.0 * np.log(len(counts))
-            tried = ScoredSentence(template, one.target, gain**0.5, scale, float(whole))
+            new_law, new_course = (own, course) if of_law else (law, own)
+            whole = length.spectral(new_law, gain) + length.temporal(new_course, gain)
+            whole += 2.0 * float(np.log(len(counts)))
+            tried = ScoredSentence(sentence(place, new_law, new_course), one.target, gain**0.5, scale, whole)
             best = tried if best is None or tried.gain > best.gain else best
         found += [] if best is None else [best]
     return found

@@ -2,7 +2,7 @@
 
 import json
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
@@ -177,6 +177,23 @@ def test_finer_forms_lie_about_the_one_found(conditions):
     both = finer(COURSES, (PRODUCT, ("hours", 6.0, 6.0), ("near", "UTC", 0.5, 0.1)), conditions)
     assert {one[1][0] for one in both} == {"hours"}
     assert len(both) > 10
+
+
+def test_a_beginning_moves_while_its_end_stays(conditions):
+    moved = finer(COURSES, ("between", "2014-07-01T00:00:00Z", 40.0), conditions, 0.5)
+    ends = [datetime.fromisoformat(begin) + timedelta(days=length) for _, begin, length in moved]
+    assert sum(abs(end - datetime(2014, 8, 10, tzinfo=UTC)) < timedelta(days=1.5) for end in ends) > 2
+    hours = finer(COURSES, ("hours", 6.0, 9.0), conditions)
+    assert {("hours", 5.25, 9.5), ("hours", 5.25, 9.0), ("hours", 6.0, 9.5)} <= {*hours}
+
+
+def test_a_date_lies_in_the_middle_between_two_events(conditions):
+    """An effect begins anywhere between two events: its first event is the latest of all dates."""
+    moved = finer(COURSES, ("step", "2014-07-01T00:00:00Z"), conditions)[1:]
+    dates = [datetime.fromisoformat(at).timestamp() for _, at in moved]
+    times = np.sort(conditions.time_unix)
+    k = np.searchsorted(times, dates)
+    np.testing.assert_allclose(dates, 0.5 * (times[k - 1] + times[k]), atol=1.0)
 
 
 def test_a_sentence_and_its_opposite_say_the_same_with_the_other_sign(conditions, terms):
