@@ -388,13 +388,11 @@ class RfiBroadband(InterferenceCause):
         return [{"spectral_index": -0.5 * k} for k in range(9)]
 
 
-def _windows_about(begin: int, end: int) -> list[tuple[int, int]]:
-    """Windows that begin and last up to three hours more or less, and the rest of the day."""
+def _windows_about(begin: float, end: float) -> list[tuple[float, float]]:
+    """Windows that begin and last up to three hours more or less, by quarters, and the rest of the day."""
     if (begin, end) == (0, 24):
         return [(0, 24)]
-    near = {
-        ((begin + b) % 24, (begin + b + hours) % 24)
-        for b in range(-3, 4)
-        for hours in range((end - begin) % 24 - 3, (end - begin) % 24 + 4)
-    }
-    return sorted(near | {(last, first) for first, last in near})
+    moved, hours = np.linspace(-3.0, 3.0, 25), (end - begin) % 24
+    begins, lasting = ((begin + moved) % 24)[:, None], hours + moved
+    first, last = (a.ravel().tolist() for a in np.broadcast_arrays(begins, (begins + lasting) % 24))
+    return sorted({*zip(first, last, strict=True), *zip(last, first, strict=True)})

@@ -137,8 +137,9 @@ class StationSearch:
         sentences = self._score_sentences(before, significant)
         named = self._name(before, significant, scores)
         said = self._say(before, sentences[0], [one.gain for one in named] or [*map(_gain_beyond_chance, significant)])
-        if said is None or (named and said.gain < named[0].gain + 2.0 * self.policy.likelier):
-            beyond = 2.0 * self.policy.likelier
+        best = named[0] if named else None
+        if said is None or (best and (said.gain < best.gain or self._is_alike(before.linear, said, best))):
+            beyond = 2.0 * self.policy.rival_odds
             beside = [
                 replace(one, sentences=[other.hypothesis for other in sentences if one.gain - other.gain < beyond])
                 for one in named
@@ -172,6 +173,17 @@ class StationSearch:
         gain, chance = gain_in_chi_squared(before, fitted) - one.length, float(np.exp(0.5 * one.length))
         events = int(before.station.is_used.sum())
         return Candidate(Score(SENTENCE, one.template, one.target, one.z, one.size, events, chance), fitted, gain)
+
+    def _is_alike(self, model: LinearModel, said: Candidate, named: Candidate) -> bool:
+        """Whether a sentence says of a target what a cause does: the name then tells more."""
+        one, other = said.model.hypotheses[-1], named.model.hypotheses[-1]
+        if one.target.label != other.target.label:
+            return False
+        conditions = model.station.conditions
+        known = model.on_events(other.cause.known_events(conditions, other.template))
+        families = group_templates(conditions, other.cause, [other.template])
+        ((r,),) = overlap(known, one.cause, one.template, one.target, families)
+        return bool(abs(r) > self.policy.alike)
 
     def _choices(self, target: Target) -> int:
         """Number of targets among which one was chosen."""

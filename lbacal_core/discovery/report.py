@@ -362,7 +362,7 @@ def parameter_words(parameters: Mapping[str, Any]) -> list[str]:
     values = plain_parameters(parameters)
     words = [text.format(values[name]) for name, text in WORDS.items() if name in values]
     if list(values.get("utc_h", [0, 24])) != [0, 24]:
-        words.append("from {:02.0f} to {:02.0f} h UTC".format(*values["utc_h"]))
+        words.append("from {:g} to {:g} h UTC".format(*values["utc_h"]))
     return words
 
 

@@ -20,7 +20,7 @@ from lbacal_core.discovery.search import search_station
 from lbacal_core.discovery.station import gather_stations
 from lbacal_twin.faults.fault import Where
 from lbacal_twin.faults.hardware import Compression, GainStep
-from lbacal_twin.faults.sky import DipoleSwap, IonosphericAbsorption, LstOffset
+from lbacal_twin.faults.sky import DipoleSwap, IonosphericAbsorption, LstOffset, RfiBroadband
 from lbacal_twin.faults.uncatalogued import AuroralAbsorption, FieldGradient, MainsHum, WorkingWeek
 
 
@@ -132,6 +132,13 @@ def test_a_cause_that_a_sentence_explains_better_is_not_named(spoil, simulation)
     assert report["findings"] == []
     assert report["verdict"] == "unexplained"
     assert "the power of the sky" in report["unexplained"]["in_words"]
+
+
+@pytest.mark.long
+def test_a_cause_whose_hours_a_sentence_tells_more_exactly_is_named(spoil, simulation):
+    """Interference between whole hours in the catalogue: a sentence with the minutes fits better, and says the same."""
+    report, _ = investigate(spoil(RfiBroadband(size=0.06, index=0.0, hours=(17.6, 22.4))), simulation)
+    assert [one["cause"] for one in report["findings"]] == ["rfi_broadband"]
 
 
 @pytest.mark.long
