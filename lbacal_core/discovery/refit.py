@@ -455,8 +455,8 @@ def _fit_sizes(model: FittedModel, one: Hypothesis, drawn: Sequence[Noise]) -> t
 
 
 def _log_ratio(hypotheses: Sequence[Hypothesis], terms: ChainTerms, model: FittedModel) -> Floats:
-    """Ln of the power with the hypotheses over power without, shape (class, event, freq)."""
+    """Ln of the power with the hypotheses over power without, shape (class, event, freq); no power is next to nothing."""
     changed = terms
     for one in hypotheses:
         changed = one.cause.apply(changed, model.station.conditions, one.template, one.size)
-    return np.asarray(np.log(changed.power() / terms.power()))
+    return np.asarray(np.log(np.maximum(changed.power() / terms.power(), SMALLEST_RATIO)))

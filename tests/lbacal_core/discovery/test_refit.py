@@ -222,6 +222,13 @@ def test_the_error_of_a_size_contains_how_noise_may_be_shared(fitted):
     assert abs(found.size - FAULT.size) < 3 * found.sigma
 
 
+def test_a_size_that_leaves_no_power_beside_some_noise_is_a_number(fitted):
+    """The average over noise was NaN, and the report with it."""
+    model = _with_open_noise(fitted, 0.9)
+    found = average_size(replace(model, hypotheses=[replace(model.hypotheses[0], size=-1.05)]), 0)
+    assert found is None or np.isfinite([found.size, found.sigma]).all()
+
+
 def test_no_drawn_noise_is_negative_and_what_is_hardly_known_has_its_order_of_magnitude(fitted):
     model = _with_open_noise(fitted, 1.0)
     noise = open_noise(model, model.hypotheses[0])
