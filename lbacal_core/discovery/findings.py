@@ -137,9 +137,9 @@ class StationSearch:
         sentences = self._score_sentences(before, significant)
         named = self._name(before, significant, scores)
         said = self._say(before, sentences[0], [one.gain for one in named] or [*map(_gain_beyond_chance, significant)])
+        beyond = 2.0 * self.policy.likelier
         best = named[0] if named else None
-        if said is None or (best and (said.gain < best.gain or self._is_alike(before.linear, said, best))):
-            beyond = 2.0 * self.policy.rival_odds
+        if said is None or (best and (said.gain < best.gain + beyond or self._is_alike(before.linear, said, best))):
             beside = [
                 replace(one, sentences=[other.hypothesis for other in sentences if one.gain - other.gain < beyond])
                 for one in named

@@ -8,7 +8,7 @@ from typing import Any
 from lbacal_core.calibration.chain_form import EXCLUDED, OPEN
 
 JUDGE = "compete"
-"""The judge of spectra: a cause is named where it is likelier than every sentence that says something else."""
+"""The judge of spectra: a cause is named where no sentence that says something else is likelier by far."""
 
 
 @dataclass(frozen=True)
@@ -32,10 +32,11 @@ class Policy:
         SNR^2 (1 - r^2) below which another template fits as well: 3 standard deviations.
     beside_share
         Factor on the probability of a false alarm of causes beside a structure: what it leaves of itself is no noise.
-    rival_odds
-        ln of the odds below which a sentence is told beside a named cause: 20 to 1.
+    likelier
+        ln of the odds by which a sentence must be likelier than the likeliest cause: 20 to 1.
     alike
-        Correlation of the templates of a sentence and a cause above which they say the same, and the cause is named.
+        Correlation of the templates of a sentence and a cause above which they say the same, and the cause is named:
+        true interference by hours has 0.95 and more, of 15 gains that were named falsely 14 have 0.89 and less.
     hidden_share
         Share of the information of a cause that free differences between models leave, below which they hide it: it is
         then neither looked for nor named. They leave nothing of a slope of N_LNA and of an isotropic level, and 0.06
@@ -51,7 +52,7 @@ class Policy:
     indistinguishable: float = 9.0
     beside_share: float = 0.01
     hidden_share: float = 0.03
-    rival_odds: float = 3.0
+    likelier: float = 3.0
     alike: float = 0.9
 
     @property
