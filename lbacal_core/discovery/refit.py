@@ -455,7 +455,7 @@ def _fit_sizes(model: FittedModel, one: Hypothesis, drawn: Sequence[Noise]) -> t
 
 
 def _log_ratio(hypotheses: Sequence[Hypothesis], terms: ChainTerms, model: FittedModel) -> Floats:
-    """Ln of the power with the hypotheses over power without, shape (class, event, freq); no power is next to nothing."""
+    """Ln of the power with the hypotheses, floored, over power without, shape (class, event, freq)."""
     changed = terms
     for one in hypotheses:
         changed = one.cause.apply(changed, model.station.conditions, one.template, one.size)

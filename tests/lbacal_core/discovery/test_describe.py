@@ -139,6 +139,8 @@ def test_a_cause_whose_hours_a_sentence_tells_more_exactly_is_named(spoil, simul
     """Interference between whole hours in the catalogue: a sentence with the minutes fits better, and says the same."""
     report, _ = investigate(spoil(RfiBroadband(size=0.06, index=0.0, hours=(17.6, 22.4))), simulation)
     assert [one["cause"] for one in report["findings"]] == ["rfi_broadband"]
+    (adopted,) = Model.from_report(json.loads(json.dumps(report))).causes
+    assert adopted.parameters["utc_h"] == pytest.approx([17.6, 22.4], abs=0.25)
 
 
 @pytest.mark.long
