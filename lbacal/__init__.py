@@ -17,10 +17,9 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
 
-from lbacal.antenna import carry_to_antenna
 from lbacal.client import CachedAnswerWarning, Client, effective, ingest, refit
 from lbacal.transport import RefusedError, UnreachableError
-from lbacal.voltages import calibrate_trace
+from lbacal.voltages import calibrate_trace, carry_to_antenna
 from lbacal_core.errors import MissingExtraError
 
 _MODULES = {

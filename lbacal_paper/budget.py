@@ -16,7 +16,7 @@ from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves import covariance
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.data.lofar import DIPOLES
-from lbacal_core.data.prior import read_prior
+from lbacal_core.data.tables import read_prior
 from lbacal_core.grids import Floats
 from lbacal_core.simulation.prior import PAPER_BUDGET, PATTERN
 from lbacal_core.simulation.simulation import Simulation

@@ -11,7 +11,7 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from lbacal.settings import PREFIX, require_known_settings
 from lbacal_core.errors import BadInputError
-from service.refusals import describe_refusal
+from service.errors import describe_refusal
 
 _TIME_OF_DAY = "^([01][0-9]|2[0-3]):[0-5][0-9]$"
 _LEVEL = "^(debug|info|warning|error)$"

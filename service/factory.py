@@ -87,7 +87,7 @@ class Factory:
     @cached_property
     def simulation(self) -> Simulation:
         """The instrument under the package's own sky, or the P_sky of the settings' file."""
-        from lbacal_core.causes.own import catalogue_with
+        from lbacal_core.causes.catalogue import catalogue_with
         from lbacal_core.simulation.simulation import Simulation  # a second to import, and only fits need it
 
         given = self.settings.sky_power

@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 
 from lbacal_core.antenna.ideal import ShortDipole
-from lbacal_core.data.prior import read_prior
+from lbacal_core.data.tables import read_prior
 from lbacal_core.grids import Floats
 from lbacal_core.linear import invert_symmetric
 from lbacal_core.sky.model import SkyModel

@@ -19,7 +19,7 @@ import numpy as np
 from lbacal_core.calibration.budget import add_budget, compute_budget
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves.curves import MISFIT
-from lbacal_core.data.prior import read_prior
+from lbacal_core.data.tables import read_prior
 from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.simulation.prior import OtherAntenna, SkyPrior, sky_prior

@@ -24,8 +24,8 @@ from lbacal_core.drift.follow import FEWEST_YEARS
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.spectra.spectra import Spectra
 from service.app import make_app
+from service.cli.processes import configure_logs
 from service.factory import Factory
-from service.logs import configure_logs
 from service.schema.tables import job, job_part
 from service.storage.drift import NUMBERS, PathMonths
 from service.storage.versions import Version

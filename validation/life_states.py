@@ -37,10 +37,10 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition,
 
 from lbacal.instants import DAY_US, format_instant
 from lbacal_core.curves.validity import Instant, Promotion, Scope
+from service.cli.processes import configure_logs
 from service.config import Settings
 from service.errors import ConflictError
 from service.factory import Factory
-from service.logs import configure_logs
 from service.scheduler import look_for_due_work
 from service.storage.changes import (
     DISMISSED,

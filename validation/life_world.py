@@ -36,9 +36,8 @@ from lbacal_core.instrument.instrument import Instrument, parse_instrument
 from lbacal_core.provenance import Provenance
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.table import SkyPower
-from lbacal_core.spectra.blocks import split_into_blocks
+from lbacal_core.spectra.blocks import Recorded, SpectraByStation, split_into_blocks
 from lbacal_core.spectra.spectra import Spectra
-from lbacal_core.spectra.stations import Recorded, SpectraByStation
 from service.storage.changes import Cut, KeptChange
 from service.usecases.drift import year_of
 from service.usecases.fits import SMALLEST_SHIFT, Fits

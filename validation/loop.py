@@ -34,10 +34,10 @@ from lbacal_twin.faults.fault import Fault
 from lbacal_twin.faults.hardware import GainTemperature
 from lbacal_twin.faults.sky import DipoleSwap, IonosphericAbsorption, LstOffset, RfiBroadband
 from lbacal_twin.settings import TwinSettings
+from service.cli.processes import configure_logs
 from service.config import Settings
 from service.errors import NotInEffectError
 from service.factory import Factory
-from service.logs import configure_logs
 from service.scheduler import look_for_due_work
 from service.storage.migration import upgrade
 from service.storage.versions import Version

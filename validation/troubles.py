@@ -31,9 +31,9 @@ from lbacal_core.curves.validity import Instant
 from lbacal_core.instrument.instrument import load_instrument
 from service.app import make_app
 from service.cli.connections import configure_server, listen
+from service.cli.processes import configure_logs
 from service.config import Settings
 from service.factory import Factory
-from service.logs import configure_logs
 from service.storage.database import FULL, READ_ONLY
 from service.storage.migration import upgrade
 from service.storage.processes import WORKER

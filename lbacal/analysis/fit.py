@@ -17,8 +17,15 @@ from lbacal.calibration_files import FORMATS, complete_curves, write_calibration
 from lbacal.client import make_table
 from lbacal.curve_table import CurveTable
 from lbacal.pages.chart import Chart
-from lbacal.pages.fit import average_residuals, draw_c, draw_fit, draw_page
-from lbacal.pages.fit_summary import describe_error, explain_chi2, tabulate_curves
+from lbacal.pages.fit import (
+    average_residuals,
+    describe_error,
+    draw_c,
+    draw_fit,
+    draw_page,
+    explain_chi2,
+    tabulate_curves,
+)
 from lbacal.pages.report import list_origin
 from lbacal.with_model import Extended, read_model, read_open_terms
 from lbacal_core.audit.audit import audit_quickly

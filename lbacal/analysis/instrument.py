@@ -201,7 +201,7 @@ def core_of(instrument: Any) -> CoreInstrument:
 
 def simulation_of(instrument: Any, sky_power: SkyPower | str | Path | None = None) -> Simulation:
     """The instrument under its own sky, or under a P_sky that is given or read; a simulation as it is."""
-    from lbacal_core.causes.own import catalogue_with
+    from lbacal_core.causes.catalogue import catalogue_with
     from lbacal_core.simulation.simulation import Simulation
     from lbacal_core.sky.table import SkyPower, read_sky_power
 

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from lbacal.cli.client import wait_for
-from lbacal.cli.options import (
+from lbacal.cli.outputs import (
     Band,
     Dask,
     InstrumentName,
@@ -23,8 +23,12 @@ from lbacal.cli.options import (
     Stations,
     Until,
     Year,
+    progress,
+    require_outputs,
+    save_each,
+    show_each,
+    show_result,
 )
-from lbacal.cli.outputs import progress, require_outputs, save_each, show_each, show_result
 from lbacal.client import Client
 from lbacal.files import written_beside
 from lbacal.instants import format_optional

@@ -9,8 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from lbacal.cli.client import Antenna, Dipole, Station
-from lbacal.cli.options import Json
-from lbacal.cli.outputs import require_outputs, show
+from lbacal.cli.outputs import Json, require_outputs, show
 from lbacal.files import written_beside
 from lbacal.tables import mean_curve
 from lbacal_core.curves.galcal import find_problems, name_path

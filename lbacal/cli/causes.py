@@ -8,8 +8,7 @@ from typing import Annotated
 
 import typer
 
-from lbacal.cli.options import Json
-from lbacal.cli.outputs import show_each
+from lbacal.cli.outputs import Json, show_each
 from lbacal.files import written_beside
 from lbacal.settings import causes_file
 from lbacal.with_model import read_report
@@ -28,7 +27,7 @@ def list_causes(context: typer.Context, file: File = None, as_json: Json = False
     if find_spec("scipy") is None:
         raise MissingExtraError("lbacal causes", "fit")
     if context.invoked_subcommand is None:
-        from lbacal_core.causes.own import read_own_causes
+        from lbacal_core.causes.catalogue import read_own_causes
 
         found = [{"cause": one.identifier, "meaning": one.meaning} for one in read_own_causes(_required(file))]
         show_each(found, lambda one: print(f"{one['cause']}: {one['meaning']}"), "no causes", as_json=as_json)
@@ -46,7 +45,7 @@ def add(
 
     Example: lbacal causes add R.json#unexplained --name workshop --file causes.json
     """
-    from lbacal_core.causes.own import NamedSentence, find_sentence, own_causes_text, read_own_causes
+    from lbacal_core.causes.catalogue import NamedSentence, find_sentence, own_causes_text, read_own_causes
 
     path = _required(file)
     content, number = read_report(report, "lbacal causes add")

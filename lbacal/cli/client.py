@@ -12,8 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
-from lbacal.cli.options import Json
-from lbacal.cli.outputs import progress, require_outputs, show, show_each
+from lbacal.cli.outputs import Json, progress, require_outputs, show, show_each
 from lbacal.client import CachedAnswerWarning, Client, describe_snapshot
 from lbacal.files import written_beside
 from lbacal_core.errors import BadInputError, name_path

@@ -9,8 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from lbacal.cli.client import SHOWN, Antenna, Dipole, Station, print_job, wait_for
-from lbacal.cli.options import Json
-from lbacal.cli.outputs import show, show_each
+from lbacal.cli.outputs import Json, show, show_each
 from lbacal.client import Client
 from lbacal_core.errors import BadInputError, name_path
 

@@ -9,8 +9,7 @@ import typer
 
 from lbacal.cli.client import Antenna, Dipole, Station
 from lbacal.cli.ledger import DryRun, Reason, print_act
-from lbacal.cli.options import Json
-from lbacal.cli.outputs import show, show_each
+from lbacal.cli.outputs import Json, show, show_each
 from lbacal.client import Client
 from lbacal.lives import ask_life, tell_life
 from lbacal_core.errors import BadInputError

@@ -8,8 +8,7 @@ from typing import Annotated
 
 import typer
 
-from lbacal.cli.options import InstrumentName
-from lbacal.cli.outputs import require_outputs
+from lbacal.cli.outputs import InstrumentName, require_outputs
 from lbacal.files import written_beside
 from lbacal_core.errors import BadInputError
 from lbacal_core.foreign import read_json
@@ -35,7 +34,7 @@ def sky_power(
 
     Example: lbacal sky-power --instrument lofar-superterp --output P.json
     """
-    from lbacal_core.sky.antenna_of import antenna_of
+    from lbacal_core.antenna.names import antenna_of
     from lbacal_core.sky.model import find_sources
     from lbacal_core.sky.names import default_sky, load_sky
     from lbacal_core.sky.power import compute_sky_power

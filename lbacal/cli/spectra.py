@@ -10,8 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from lbacal.cli.options import Dask
-from lbacal.cli.outputs import progress, require_outputs
+from lbacal.cli.outputs import Dask, progress, require_outputs
 from lbacal.engine import Engine, read_address
 from lbacal.files import written_beside
 from lbacal_core.errors import BadInputError, LbacalError, UnreadableFileError

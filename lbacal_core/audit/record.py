@@ -18,8 +18,8 @@ from lbacal_core.causes.cause import Description
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.instrument.sidereal import SIDEREAL_DAY_S
 from lbacal_core.simulation.simulation import Simulation
+from lbacal_core.spectra.blocks import Recorded
 from lbacal_core.spectra.spectra import Spectra
-from lbacal_core.spectra.stations import Recorded
 
 SITE = Description(
     "site",

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.calibration.paths import radiometer_limit
-from lbacal_core.data.prior import read_prior
+from lbacal_core.data.tables import read_prior
 from lbacal_core.grids import Floats, require_same_grid
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.instrument.sidereal import SIDEREAL_DAY_S, local_sidereal_time

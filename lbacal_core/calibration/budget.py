@@ -27,7 +27,7 @@ from lbacal_core.calibration.singles import chain_forms
 from lbacal_core.curves.covariance import Budget, BudgetTerm
 from lbacal_core.curves.curves import OK, UNCERTAIN, CalibrationCurve, FitReport
 from lbacal_core.curves.reference_chain import ReferenceChain
-from lbacal_core.data.prior import read_prior
+from lbacal_core.data.tables import read_prior
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.chain import Intercepts, noise_constants
@@ -36,8 +36,8 @@ from lbacal_core.simulation.prior import DEFAULT_SKY_BUDGET, PAPER_BUDGET, SkyPr
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.sky_terms import SkyTerm
 from lbacal_core.sky.table import read_at
+from lbacal_core.spectra.blocks import Recorded
 from lbacal_core.spectra.spectra import Spectra
-from lbacal_core.spectra.stations import Recorded
 
 EXCLUDED = 2.0
 """Data that are less probable with an antenna than with the instrument's own by exp of this exclude it."""

@@ -31,14 +31,14 @@ from lbacal_core.calibration.channels import solve_without_interference
 from lbacal_core.calibration.lines import PathLines, fit_lines, look_beside, move_lines
 from lbacal_core.calibration.paths import MIN_LST_BINS, Paths, paths_of_scope, require_one_cable_each
 from lbacal_core.calibration.singles import chain_forms
-from lbacal_core.data.prior import read_prior
+from lbacal_core.data.tables import read_prior
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.chain import BEHIND, FORMS, PUBLISHED, SLOPED, Intercepts, noise_constants
 from lbacal_core.linear import invert_symmetric, solve_symmetric
 from lbacal_core.simulation.prior import SKY_HARMONICS, SkyPrior
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.table import harmonics_at
-from lbacal_core.spectra.stations import Recorded
+from lbacal_core.spectra.blocks import Recorded
 
 PRIOR: Mapping[str, float] = dict(zip(FORMS, read_prior()["chain_form"].sizes, strict=True))
 """Probability of each form before the data are asked."""

@@ -82,7 +82,7 @@ from lbacal_core.instrument.chain import Intercepts, calibration_factor
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import Provenance
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.spectra.stations import Recorded
+from lbacal_core.spectra.blocks import Recorded
 
 SCOPES = ("array", "station", "antenna")
 ONE_TIME_BINS = 12

@@ -24,7 +24,7 @@ from scipy.special import logsumexp
 
 from lbacal_core.calibration.chain_test import LARGEST_GAIN, FittedPaths
 from lbacal_core.calibration.lines import ROUNDING, ChainForms, PathLines, fit_lines, move_lines, move_lines_by
-from lbacal_core.data.prior import read_prior
+from lbacal_core.data.tables import read_prior
 from lbacal_core.grids import Floats
 from lbacal_core.linear import solve_symmetric
 from lbacal_core.simulation.prior import SKY_HARMONICS

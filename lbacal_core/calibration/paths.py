@@ -21,10 +21,9 @@ from lbacal_core.grids import Floats
 from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.spectra.blocks import SpectraBlock, iterate_blocks
+from lbacal_core.spectra.blocks import Recorded, SpectraBlock, iterate_blocks
 from lbacal_core.spectra.screening import leave_out
 from lbacal_core.spectra.spectra import Spectra
-from lbacal_core.spectra.stations import Recorded
 
 BLOCK_SAMPLES = 1024
 LST_BINS = 96

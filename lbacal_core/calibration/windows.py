@@ -13,8 +13,8 @@ from itertools import pairwise
 import numpy as np
 
 from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.spectra.blocks import AnySpectra, Recorded
 from lbacal_core.spectra.spectra import Owner, Rows, Spectra
-from lbacal_core.spectra.stations import AnySpectra, Recorded
 
 LARGEST_SHARE_LEFT_OUT = 0.5
 

@@ -48,8 +48,8 @@ from lbacal_core.instrument.chain import ChainTerms
 from lbacal_core.linear import root_of
 from lbacal_core.simulation.prior import OTHER_ANTENNA
 from lbacal_core.simulation.simulation import Simulation
+from lbacal_core.spectra.blocks import Recorded
 from lbacal_core.spectra.spectra import Rows, Spectra
-from lbacal_core.spectra.stations import Recorded
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from lbacal_core.causes.catalogue import CAUSES, DESCRIPTIONS
 from lbacal_core.causes.cause import Cause, Conditions, SizeRange, Template
 from lbacal_core.causes.sky import sky_ratios
 from lbacal_core.data.lofar import DIPOLES
-from lbacal_core.data.prior import read_prior
+from lbacal_core.data.tables import read_prior
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.chain import ChainTerms, Intercepts
 from lbacal_core.linear import find_whitener, fit_least_squares, invert_symmetric

@@ -39,8 +39,8 @@ from lbacal_core.sky.differences import DifferenceModels, ModelDifferences, comp
 from lbacal_core.sky.power import compute_sky_power
 from lbacal_core.sky.sky_terms import SkyTerm
 from lbacal_core.sky.table import SHORTEST_SMEARED_H, SkyPower, read_sky_power
+from lbacal_core.spectra.blocks import Recorded
 from lbacal_core.spectra.spectra import BLOCK_S
-from lbacal_core.spectra.stations import Recorded
 
 SIDEREAL_HOUR_S = SIDEREAL_DAY_S / 24
 LARGEST_UNLIKE_H2 = 0.9

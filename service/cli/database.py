@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lbacal.cli.options import Json
-from lbacal.cli.outputs import require_outputs, show, show_each
+from lbacal.cli.outputs import Json, require_outputs, show, show_each
 from lbacal.instants import format_instant, format_optional
 
 if TYPE_CHECKING:
@@ -24,7 +23,7 @@ def upgrade() -> None:
 
     Example: LBACAL_DATABASE_URL=postgresql://lbacal@db/lbacal lbacal db upgrade
     """
-    from service.cli.opening import wait_for_database
+    from service.cli.processes import wait_for_database
     from service.storage import migration
 
     factory = _factory()

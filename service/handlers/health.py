@@ -6,15 +6,17 @@ from typing import TYPE_CHECKING, Any
 
 from fastapi import APIRouter, Depends, Request, Response
 from fastapi.responses import PlainTextResponse
-from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
+from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, Gauge, generate_latest
 
 from lbacal.instants import format_optional
-from service.handlers.metrics import describe_state
+from lbacal_core.curves.validity import Instant
 from service.handlers.models import describe_investigation
 from service.handlers.problems import document
 from service.handlers.request import UseCases, answer, require_read
 from service.handlers.routes import reads
+from service.storage.alarms import ACKNOWLEDGED, KINDS, OPEN
 from service.storage.jobs import Failure
+from service.storage.processes import API, SCHEDULER, WORKER
 from service.usecases.status import State
 from service.wire import answer_models as wire
 from service.wire.answers import fill_answer
@@ -92,3 +94,30 @@ def describe_failure(failure: Failure) -> dict[str, Any]:
     again, failed = (failure.tries.again, failure.tries.failed) if failure.tries else (None, 1)
     error, of_job = "; ".join(failure.job.errors), {"job": failure.job.number, "tries": failed}
     return fill_answer(wire.FailureAnswer, failure.job, error=error, again_after=format_optional(again), **of_job)
+
+
+def describe_state(state: State, now: Instant) -> CollectorRegistry:
+    """The state of the service as gauges."""
+    registry = CollectorRegistry()
+
+    def tell(name: str, meaning: str, value: float) -> None:
+        Gauge(f"lbacal_{name}", meaning, registry=registry).set(value)
+
+    tell("ready", "1 if the service can do its work.", float(state.problem is None))
+    tell("events", "Events stored.", state.events)
+    tell("gated_versions", "Versions that the gate kept back and nobody promoted.", state.gated)
+    tell("failed_jobs", "Jobs that failed in 30 days and that nothing made up for.", len(state.failures))
+    tell("stuck_parts", "Kinds of parts that no worker may begin.", len(state.stuck))
+    if state.newest_event is not None:
+        tell("newest_event_age_seconds", "Time since the newest event, s.", (now - state.newest_event) / 1e6)
+    parts = Gauge("lbacal_parts", "Parts of jobs by state, ended ones of 30 days.", ["state"], registry=registry)
+    for name, count in state.parts.items():
+        parts.labels(name).set(count)
+    alarms = Gauge("lbacal_alarms", "Alarms that last.", ["kind", "state"], registry=registry)
+    for kind in KINDS:
+        alarms.labels(kind, OPEN).set(state.alarms.open.get(kind, 0))
+        alarms.labels(kind, ACKNOWLEDGED).set(state.alarms.acknowledged.get(kind, 0))
+    processes = Gauge("lbacal_processes_alive", "Processes seen within a minute.", ["kind"], registry=registry)
+    for kind in (API, SCHEDULER, WORKER):
+        processes.labels(kind).set(sum(one.is_alive for one in state.processes if one.kind == kind))
+    return registry

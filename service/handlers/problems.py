@@ -13,9 +13,8 @@ from fastapi.responses import HTMLResponse
 from starlette.exceptions import HTTPException
 
 from lbacal_core.errors import BadInputError, LbacalError
-from service.errors import NotAcceptableError, TooManyError, UnavailableError
+from service.errors import NotAcceptableError, TooManyError, UnavailableError, describe_refusal
 from service.page.render import render_page
-from service.refusals import describe_refusal
 from service.wire.answers import choose_media, to_json
 
 RETRY_S = 5

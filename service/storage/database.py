@@ -16,7 +16,7 @@ from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 
 from lbacal_core.errors import BadInputError, LbacalError
 from service.errors import UnavailableError
-from service.schema.revisions import require_newest
+from service.schema.tables import require_newest
 from service.storage.alarms import AlarmStore
 from service.storage.changes import ChangeStore
 from service.storage.drift import DriftStore

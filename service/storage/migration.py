@@ -16,8 +16,7 @@ from sqlalchemy import func, inspect, make_url, select, text
 from lbacal.files import written_beside
 from lbacal_core.errors import BadInputError
 from service.errors import ConflictError, UnavailableError
-from service.schema.revisions import known_revisions, require_known, require_newest
-from service.schema.tables import metadata
+from service.schema.tables import known_revisions, metadata, require_known, require_newest
 from service.storage.database import REVISION, Database, explaining_failures
 
 if TYPE_CHECKING:

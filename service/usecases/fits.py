@@ -34,8 +34,8 @@ from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import MODEL_VERSION, Remembered, hash_content
 from lbacal_core.simulation.simulation import Simulation
+from lbacal_core.spectra.blocks import Recorded, SpectraByStation
 from lbacal_core.spectra.spectra import Spectra
-from lbacal_core.spectra.stations import Recorded, SpectraByStation
 from service.errors import ConflictError
 from service.storage.changes import Cut
 from service.storage.database import Stores

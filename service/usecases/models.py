@@ -17,7 +17,7 @@ from lbacal_core.curves.covariance import Budget
 from lbacal_core.curves.validity import Instant, Promotion, Scope, timeline
 from lbacal_core.errors import BadInputError
 from lbacal_core.provenance import Remembered, hash_content
-from lbacal_core.spectra.stations import Recorded
+from lbacal_core.spectra.blocks import Recorded
 from service.errors import ConflictError
 from service.storage.alarms import CAUSE_STOPPED_PAYING, News
 from service.storage.database import Database, Stores

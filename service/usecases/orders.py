@@ -12,7 +12,7 @@ from lbacal.instants import parse_instant
 from lbacal_core.curves.validity import Instant
 from lbacal_core.errors import BadInputError
 from lbacal_core.provenance import MODEL_VERSION, canonical_json, hash_arrays
-from lbacal_core.spectra.stations import Recorded
+from lbacal_core.spectra.blocks import Recorded
 from service.errors import ConflictError, TooManyError
 from service.storage.database import Database, Stores
 from service.storage.jobs import Job, Order

@@ -15,8 +15,8 @@ from lbacal_core.discovery.adopted import measure_gains
 from lbacal_core.discovery.calibrate import FittedCauses
 from lbacal_core.errors import BadInputError
 from lbacal_core.simulation.simulation import Simulation
+from lbacal_core.spectra.blocks import Recorded
 from lbacal_core.spectra.spectra import Spectra
-from lbacal_core.spectra.stations import Recorded
 from service.config import Settings
 from service.errors import ConflictError
 from service.storage.changes import IN_FORCE, KeptChange, concerns

@@ -13,8 +13,7 @@ from pydantic import BaseModel, ConfigDict, FailFast, Field, StringConstraints, 
 from lbacal_core.errors import BadInputError
 from lbacal_core.foreign import require_unique_fields
 from lbacal_core.spectra.spectra import MAX_COVARIATES
-from service.errors import MalformedBodyError, TooLargeError
-from service.refusals import describe_refusal
+from service.errors import MalformedBodyError, TooLargeError, describe_refusal
 
 MAX_SPECTRA = 100_000
 """Spectra a batch: 174 events of the Superterp, or 64 MB of 51 channels."""

@@ -27,9 +27,9 @@ from lbacal_core.curves.covariance import Budget, BudgetTerm, CurveCovariance
 from lbacal_core.curves.curves import Parameter
 from lbacal_core.curves.validity import Promotion, Scope
 from service.app import make_app
+from service.cli.processes import configure_logs
 from service.factory import Factory
 from service.handlers.request import answer, require_read
-from service.logs import configure_logs
 from service.storage.spectra import Window
 from service.storage.versions import Version
 from service.usecases.calibrations import select_paths

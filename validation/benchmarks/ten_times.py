@@ -31,9 +31,9 @@ from lbacal_core.sky.table import read_sky_power, write_sky_power
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
+from service.cli.processes import configure_logs
 from service.config import Settings
 from service.factory import Factory
-from service.logs import configure_logs
 from service.scheduler import look_for_due_work
 from service.storage.migration import upgrade
 from service.worker import Worker

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from lbacal_core.causes.own import FORMAT, catalogue_with, read_own_causes
+from lbacal_core.causes.catalogue import FORMAT, catalogue_with, read_own_causes
 from lbacal_core.errors import BadInputError
 
 WORKSHOP = {"place": "receiver", "law": ["flat"], "course": ["working days"]}

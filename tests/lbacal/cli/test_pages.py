@@ -16,8 +16,15 @@ from lbacal.analysis.result import align
 from lbacal.cli.main import app
 from lbacal.pages.chart import Chart, Series, plot_charts
 from lbacal.pages.finding import draw_finding, draw_scores, draw_sentence, draw_station, tell_finding
-from lbacal.pages.fit import average_residuals, draw_c, draw_fit, draw_page
-from lbacal.pages.fit_summary import describe_error, explain_chi2, tabulate_curves
+from lbacal.pages.fit import (
+    average_residuals,
+    describe_error,
+    draw_c,
+    draw_fit,
+    draw_page,
+    explain_chi2,
+    tabulate_curves,
+)
 from lbacal.pages.report import draw_investigation, list_origin
 from lbacal_core.calibration.one_event import ErrorOfC
 from lbacal_core.curves.covariance import Budget, BudgetTerm, parse_budget

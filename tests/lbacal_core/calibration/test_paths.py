@@ -18,10 +18,9 @@ from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import as_json
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.table import SkyPower
-from lbacal_core.spectra.blocks import split_into_blocks
+from lbacal_core.spectra.blocks import SpectraByStation, split_into_blocks
 from lbacal_core.spectra.screening import leave_out
 from lbacal_core.spectra.spectra import Spectra
-from lbacal_core.spectra.stations import SpectraByStation
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
 

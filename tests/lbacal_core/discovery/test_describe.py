@@ -6,10 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.causes.catalogue import CAUSES
+from lbacal_core.causes.catalogue import CAUSES, FORMAT, NamedSentence, catalogue_with
 from lbacal_core.causes.grammar import parts_of
 from lbacal_core.causes.model import Model
-from lbacal_core.causes.own import FORMAT, NamedSentence, catalogue_with
 from lbacal_core.discovery.describe import CERTAIN, Description, describe_structure
 from lbacal_core.discovery.hypothesis import list_targets
 from lbacal_core.discovery.policy import Policy

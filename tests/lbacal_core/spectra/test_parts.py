@@ -7,8 +7,7 @@ import pytest
 
 from lbacal_core.errors import BadInputError
 from lbacal_core.spectra.blocks import split_into_blocks
-from lbacal_core.spectra.quarters import number_quarters
-from lbacal_core.spectra.spectra import Spectra, join_spectra
+from lbacal_core.spectra.spectra import Spectra, join_spectra, number_quarters
 
 
 def at(text: str) -> float:

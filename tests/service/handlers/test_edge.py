@@ -13,8 +13,7 @@ from prometheus_client import CollectorRegistry
 from service.app import make_app
 from service.factory import Factory
 from service.handlers import edge, request
-from service.handlers.edge import BAD_KEYS_AT_ONCE, STRICT, Buckets, Edge
-from service.handlers.metrics import Traffic
+from service.handlers.edge import BAD_KEYS_AT_ONCE, STRICT, Buckets, Edge, Traffic
 from service.handlers.request import LARGE_READS
 from tests.service.conftest import bearer, like
 

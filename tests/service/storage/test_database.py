@@ -30,8 +30,7 @@ from service.config import Settings
 from service.errors import ConflictError, UnavailableError
 from service.factory import Factory
 from service.scheduler import look_for_due_work
-from service.schema.revisions import known_revisions
-from service.schema.tables import metadata
+from service.schema.tables import known_revisions, metadata
 from service.storage import database as module
 from service.storage.changes import Change, Evidence
 from service.storage.database import Database

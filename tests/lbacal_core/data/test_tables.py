@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from lbacal_core.data.prior import read_prior
+from lbacal_core.data.tables import read_prior
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.differences import LST_HOURS, SMALLEST_WAVE, waves_at
