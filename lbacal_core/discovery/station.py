@@ -22,7 +22,7 @@ from lbacal_core.provenance import Remembered
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.differences import ModelDifferences, Waves, waves_at
 from lbacal_core.sky.sources import response_towards
-from lbacal_core.sky.table import SkyPower
+from lbacal_core.sky.table import SkyPower, read_at
 from lbacal_core.spectra.blocks import SpectraBlock, split_into_blocks
 from lbacal_core.spectra.spectra import Spectra
 
@@ -279,7 +279,7 @@ def model_modes(station: Station, differences: ModelDifferences) -> SkyModes:
     conditions = station.conditions
     lst, dipoles = conditions.lst_hours, conditions.dipoles
     # Brightness that does not depend on direction has a spectrum that nobody knows.
-    brighter = np.stack([differences.isotropic_at(letter, lst) for letter in dipoles])
+    brighter = np.stack([read_at(differences.isotropic[letter], lst) for letter in dipoles])
     isotropic = brighter * differences.smooth_spectra()[:, None, None]
     level = differences.level_modes()[:, None, None]
     return SkyModes(

@@ -200,7 +200,8 @@ def _read_file(path: Path) -> _Content:
 
 def _read_table(path: Path) -> _Content:
     lines = read_text(path).splitlines()
-    facts = dict(_split_fact(line) for line in lines if line.startswith("#") and ":" in line)
+    told = [line.lstrip("#").partition(":") for line in lines if line.startswith("#") and ":" in line]
+    facts = {name.strip().lower(): value.strip() for name, _, value in told}
     rows = list(csv.reader(line for line in lines if line and not line.startswith("#")))
     if len(rows) < 2 or rows[0][0].strip() != "frequency_mhz":
         raise BadInputError(
@@ -233,11 +234,6 @@ def _read_archive(path: Path) -> _Content:
         raise BadInputError(f"{path}: power", f"shape {(len(paths), frequency.size)} (path, freq)", f"{power.shape}")
     facts = {name: str(values) for name, values in content.items() if name not in needed and values.ndim == 0}
     return _Content(frequency, paths, time_unix, power, facts)
-
-
-def _split_fact(line: str) -> tuple[str, str]:
-    name, _, value = line.lstrip("#").partition(":")
-    return name.strip().lower(), value.strip()
 
 
 def _parse_path(name: str, path: Path) -> tuple[int, str]:

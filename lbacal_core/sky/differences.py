@@ -110,10 +110,6 @@ class ModelDifferences:
         """Changes along LST at sidereal hours, shape (event,), of events: shape (mode, event, freq)."""
         return read_at(self.shape[dipole], lst_hours)
 
-    def isotropic_at(self, dipole: str, lst_hours: Floats) -> Floats:
-        """Change by isotropic brightness at events, shape (event, freq)."""
-        return read_at(self.isotropic[dipole], lst_hours)
-
     def level_modes(self) -> Floats:
         """Legendre polynomials in ln nu, each of the size that real models have, shape (degree, freq)."""
         polynomials = self.smooth_spectra()

@@ -458,7 +458,10 @@ def _parse_sky_power(content: Any, path: str) -> SkyPower:
     wanted = f"the fields {', '.join(fields)} and P_sky of each dipole under its letter"
     if not isinstance(content, dict):
         raise BadInputError(path, f"a JSON object with {wanted}", type(content).__name__)
-    dipoles = sorted(name for name in _named_dipoles(content) if is_dipole_name(name))
+    # what the file says it has, single letters, and lists
+    said = content["dipoles"] if isinstance(content.get("dipoles"), dict) else {}
+    named = [name for name, value in content.items() if isinstance(value, list) or name in said or len(name) == 1]
+    dipoles = sorted(filter(is_dipole_name, named))
     missing = [name for name in fields if name not in content] + ([] if dipoles else ["dipole"])
     if missing:
         raise BadInputError(path, wanted, f"no {', '.join(missing)}")
@@ -490,12 +493,6 @@ def _parse_stations(content: Mapping[str, Any], place: str) -> dict[str, SkyPowe
         raise BadInputError(f"{place}: stations", "an object of sky powers by station", "another shape")
     axes = {name: content[name] for name in ("frequency_mhz", "lst_hours")}
     return {str(name): _parse_sky_power(axes | one, f"{place}: stations.{name}") for name, one in stations.items()}
-
-
-def _named_dipoles(content: Mapping[str, Any]) -> list[str]:
-    """The fields that are dipoles: those that the file says it has, single letters, and lists."""
-    said = content["dipoles"] if isinstance(content.get("dipoles"), dict) else {}
-    return [name for name, value in content.items() if isinstance(value, list) or name in said or len(name) == 1]
 
 
 def _is_even(lst_hours: Floats) -> NDArray[np.bool_]:

@@ -13,6 +13,7 @@ from lbacal.instants import format_instant
 from lbacal_core.errors import BadInputError, name_path
 from service.errors import ConflictError, NotFoundError, UnauthenticatedError
 from service.factory import Factory
+from service.handlers.jobs import describe_job
 from service.handlers.ledger import TAG_NAME
 from service.handlers.request import FORM_COOKIE, SESSION_COOKIE, InPath, UseCases, require_caller
 from service.handlers.session import Form, read_form
@@ -26,7 +27,6 @@ from service.wire.answers import to_json
 router = APIRouter(include_in_schema=False, default_response_class=HTMLResponse)
 NUMBERS, SWITCHES = ("antenna", "finding"), ("promote",)
 PROMOTE, RUN = "calibrations:promote", "refits:run"
-ENDS = ("since", "until")
 
 
 @dataclass(frozen=True)
@@ -168,10 +168,9 @@ def _retry(use: Factory, target: str, body: bodies.ReasonBody, by: str) -> Fores
 
 
 def _again(job: Job, kind: type[bodies.AnyBody], reason: str) -> bodies.AnyBody:
-    """The request of a job once more; the scheduler writes instants as numbers."""
-    known = {name: one for name, one in job.request.items() if name in kind.model_fields}
-    instants = {name: format_instant(one) for name, one in known.items() if name in ENDS and isinstance(one, int)}
-    return bodies.parse_body(kind, to_json({**known, **instants, "reason": reason}))
+    """The request of a job once more."""
+    known = {name: one for name, one in describe_job(job)["request"].items() if name in kind.model_fields}
+    return bodies.parse_body(kind, to_json({**known, "reason": reason}))
 
 
 ACTS: Mapping[str, Act] = {

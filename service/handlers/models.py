@@ -14,7 +14,7 @@ from service.handlers.ledger import PROMOTE, Reasoned, describe_changes
 from service.handlers.request import IMMUTABLE, InPath, Limit, StationQuery, UseCases, Whole, answer
 from service.handlers.routes import Order, acts, ordered, page_of, reads
 from service.storage.models import Gain, Investigation
-from service.usecases.models import AdoptedModel, Adoption
+from service.usecases.models import AdoptedModel
 from service.wire import answer_models as wire
 from service.wire.answers import fill_answer
 from service.wire.bodies import AdoptionBody, InvestigationBody, ReasonBody
@@ -45,7 +45,8 @@ def adopt_finding(
         return answer(request, earlier, status=202)
     plan = use.models.plan_adoption(name, order.wanted, order.caller)
     if dry_run:
-        return answer(request, describe_plan(plan))
+        told = {"model": plan.model.id, "cause": plan.cause.sentence, "promise": list(plan.change.promise or ())}
+        return answer(request, {**told, "changes": describe_changes(plan.changes)})
 
     def adopt() -> dict[str, Any]:
         return {"model": plan.model.id, "jobs": use.models.adopt(plan, promote=order.wanted.promote)}
@@ -82,12 +83,6 @@ def withdraw_model(request: Request, use: UseCases, order: Reasoned, name: InPat
         return {"model": model.id, "jobs": jobs}
 
     return answer(request, order.once(f"withdrawal of model {name}", withdraw), status=202)
-
-
-def describe_plan(plan: Adoption) -> dict[str, Any]:
-    """Describe the changes by an adoption as JSON values: `model`, `cause` in a sentence, `promise`, `changes`."""
-    told = {"model": plan.model.id, "cause": plan.cause.sentence, "promise": list(plan.change.promise or ())}
-    return {**told, "changes": describe_changes(plan.changes)}
 
 
 def describe_model(one: AdoptedModel) -> dict[str, Any]:

@@ -53,7 +53,7 @@ class KeyStore(Store):
 
     def find(self, sha256: str) -> Key | None:
         """The key with a hash, valid or not; None where there is none."""
-        rows = self._keys(sha256)
+        rows = self.all(sha256)
         return rows[0] if rows else None
 
     def begin_session(self, sha256: str, key: int, expires: Instant, now: Instant) -> None:
@@ -71,22 +71,19 @@ class KeyStore(Store):
         """Forget a session."""
         self._connection.execute(delete(session).where(session.c.sha256 == sha256))
 
-    def all(self) -> list[Key]:
-        """List all keys, oldest first."""
-        return self._keys(None)
+    def all(self, sha256: str | None = None) -> list[Key]:
+        """List all keys, or that of a hash, oldest first."""
+        statement = select(api_key).where(*equal(api_key, sha256=sha256)).order_by(api_key.c.id)
+        return [
+            from_row(Key, row, number=row.id, scopes=tuple(json.loads(row.scopes)))
+            for row in self._connection.execute(statement)
+        ]
 
     def revoke(self, number: int, now: Instant) -> None:
         """Close a key for good."""
         change = update(api_key).where(api_key.c.id == number, api_key.c.revoked_us.is_(None)).values(revoked_us=now)
         if self._connection.execute(change).rowcount == 0:
             raise NotFoundError(f"no key {number} that could be revoked; `lbacal keys list` shows them")
-
-    def _keys(self, sha256: str | None) -> list[Key]:
-        statement = select(api_key).where(*equal(api_key, sha256=sha256)).order_by(api_key.c.id)
-        return [
-            from_row(Key, row, number=row.id, scopes=tuple(json.loads(row.scopes)))
-            for row in self._connection.execute(statement)
-        ]
 
 
 # Completed requests by idempotency key, so that a repeated request is not done again.

@@ -560,10 +560,10 @@ def is_still_served(stores: Stores, pieces: Sequence[KeptPiece]) -> bool:
 def keep_fit(stores: Stores, block: Sums, made: Made, served: Mapping[ServedKey, Served]) -> None:
     """Keep a fit in its block, where the chain alone was fitted."""
     if made.pieces:
-        pieces = [
-            replace(one, served=[served[scope, one.since, one.until] for scope in _list_scopes(one.lines)])
-            for one in made.pieces
-        ]
+        pieces = list[KeptPiece]()
+        for one in made.pieces:
+            scopes = dict.fromkeys(scope_of(owner) for lines in one.lines for owner in lines.owners)
+            pieces.append(replace(one, served=[served[scope, one.since, one.until] for scope in scopes]))
         stores.sums.put(replace(block, arrays=write_pieces(pieces)), name_pieces(pieces))
 
 
@@ -622,11 +622,6 @@ def _rows_of_piece(piece: KeptPiece, spectra: Spectra) -> NDArray[np.bool_]:
     paths = {owner for one in piece.lines for owner in one.owners}
     keys = zip(spectra.station.tolist(), spectra.antenna.tolist(), spectra.dipole.tolist(), strict=True)
     return np.asarray(rows & np.array([key in paths for key in keys]))
-
-
-def _list_scopes(lines: Sequence[KeptLines]) -> list[Scope]:
-    """The scopes that lines are of, each once."""
-    return list(dict.fromkeys(scope_of(owner) for one in lines for owner in one.owners))
 
 
 def _find_shift(served: Served, continued: Continued) -> float | None:
