@@ -104,20 +104,10 @@ def audit(
 
 def _list_lines(lines: Sequence[Line]) -> QTable:
     """A row a line: its value and sigma are in its unit, and numbers that it does not have are NaN."""
-    texts = {
-        "verdict": [one.verdict for one in lines],
-        "check": [one.check for one in lines],
-        "station": [one.station for one in lines],
-        "antennas": [" ".join(map(str, one.antennas)) for one in lines],
-        "dipole": [one.dipole or "" for one in lines],
-    }
-    numbers = {name: [getattr(one, name) for one in lines] for name in ("value", "sigma", "log_odds")}
-    words = {"unit": [one.unit for one in lines], "sentence": [one.sentence for one in lines]}
-    return QTable(
-        {name: np.array(column, dtype=str) for name, column in texts.items()}
-        | {name: np.array(column, dtype=float) for name, column in numbers.items()}
-        | {name: np.array(column, dtype=str) for name, column in words.items()}
-    )
+    told = [{**vars(one), "antennas": " ".join(map(str, one.antennas)), "dipole": one.dipole or ""} for one in lines]
+    texts, numbers = ("verdict", "check", "station", "antennas", "dipole"), ("value", "sigma", "log_odds")
+    kinds = {**dict.fromkeys(texts, str), **dict.fromkeys(numbers, float), "unit": str, "sentence": str}
+    return QTable({name: np.array([one[name] for one in told], dtype=kind) for name, kind in kinds.items()})
 
 
 def _odds(line: Line) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from astropy.table import QTable
@@ -151,10 +151,10 @@ def investigate(
 
     origin = list_origin(measured.origin, simulation, measured.time_unix, content["provenance"])
     page = partial(draw_investigation, content, origin)
-    figures = Figures(
-        lambda: map(draw_scores, content["scores"].values()), page, lambda one: draw_finding(one).values()
-    )
-    return _make(measured.origin, content, simulation, figures)
+    return _make(
+        measured.origin, content, simulation, page, lambda: map(draw_scores, content["scores"].values()),
+        lambda one: draw_finding(one).values(),
+    )  # fmt: skip
 
 
 def _search_each(
@@ -178,32 +178,24 @@ def _investigate_curve(curve: LstCurve, simulation: Simulation, band_mhz: tuple[
     inputs = {"lst_curve": curve.digest(), "sky_power": sky, "instrument": chain}
     settings = {"band_mhz": list(band_mhz), "own_sky": simulation.is_own_sky, "policy": found.policy.as_dict()}
     content = describe_curve(found, Provenance(inputs, settings))
-    figures = Figures(
-        charts=lambda: [*draw_curve(found), draw_ranking(found), *draw_change(found)],
-        page=partial(
-            draw_curve_page, content, found, list_origin(curve.origin, simulation, provenance=content["provenance"])
-        ),
-        of_finding=lambda _: draw_change(found),
-    )
-    return _make(curve.origin, content, simulation, figures)
+    page = partial(draw_curve_page, content, found, list_origin(curve.origin, simulation, None, content["provenance"]))
+    return _make(
+        curve.origin, content, simulation, page,
+        lambda: [*draw_curve(found), draw_ranking(found), *draw_change(found)], lambda _: draw_change(found),
+    )  # fmt: skip
 
 
-class Figures(NamedTuple):
-    """The figures of an investigation of spectra, or of an LST curve, and of its findings."""
-
-    charts: Callable[[], Iterable[Chart]]
-    page: Callable[[], str]
-    of_finding: Callable[[Mapping[str, Any]], Iterable[Chart]]
-
-
-def _make(source: str, content: dict[str, Any], simulation: Simulation, figures: Figures) -> Investigation:
+def _make(
+    source: str, content: dict[str, Any], simulation: Simulation, page: Callable[[], str],
+    charts: Callable[[], Iterable[Chart]], of_finding: Callable[[Mapping[str, Any]], Iterable[Chart]],
+) -> Investigation:  # fmt: skip
     findings = [
         Finding(
             title=f"{one['cause']} {_size(one)}",
             rows=[("gain", ""), *((k, f"{v:.4g}") for k, v in one["gain"].items() if isinstance(v, float | int))],
             told=list(_tell_finding(one)),
             notes=[one["sentence"]],
-            charts=partial(figures.of_finding, one),
+            charts=partial(of_finding, one),
             as_dict=partial(dict, one),
             report=content,
             simulation=simulation,
@@ -226,8 +218,8 @@ def _make(source: str, content: dict[str, Any], simulation: Simulation, figures:
         rows=[COLUMNS, *rows],
         told=[*_tell(content), *notes],
         notes=notes,
-        charts=figures.charts,
-        page=figures.page,
+        charts=charts,
+        page=page,
         as_dict=lambda: content,
         as_table=partial(_list_findings, findings),
         report=content,

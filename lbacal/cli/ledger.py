@@ -101,12 +101,10 @@ def tag(
             raise BadInputError("--reason", "why the tag is made", "nothing")
         else:
             tags = [client.send("PUT", f"/v1/tags/{name}", {"as_of": as_of, "reason": reason})]
-    show_each(tags, print_tag, "no tags", as_json=as_json)
-
-
-def print_tag(one: dict[str, Any]) -> None:
-    """Print a tag in one line."""
-    print(f"{one['name']}: as of {one['as_of']}, by {one['by']}: {one['reason']}")
+    show_each(
+            tags, lambda one: print(f"{one['name']}: as of {one['as_of']}, by {one['by']}: {one['reason']}"), "no tags",
+            as_json=as_json,
+        )  # fmt: skip
 
 
 def _act(client: Client, path: str, body: dict[str, Any], *, dry_run: bool, as_json: bool) -> None:

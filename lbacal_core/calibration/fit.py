@@ -274,7 +274,7 @@ def _fit_paths(
     scatter = np.median(lines.levels.radiometer, axis=1) if paths.scatter is None else paths.scatter
     is_odd = scatter[good] < SMALLEST_OF_LIMIT * paths.smallest_scatter
     of_alone = np.einsum("pii->pi", alone.covariance)[of_good, channels + len(terms.front) :]
-    is_odd |= _has_negative_noise(alone.q[of_good], of_alone)
+    is_odd |= np.any(alone.q[of_good] < -MOST_NEGATIVE * np.sqrt(of_alone), axis=1)
     is_unlikely = is_improbable(alone.chi2[of_good], _count_dof(alone, free_alone, terms)[of_good])
     dof = _count_dof(solution, is_free, terms)
     is_misfit = set(good[tested.is_misfit | (is_odd & is_unlikely)].tolist())
@@ -366,11 +366,6 @@ def _sky_over_model(c: Floats, solution: SeparableSolution, path: int, error: fl
         return None
     derivative = 0.5 / solution.x[path]
     return SkyOverModel.of(c, solution.covariance[path][: c.size, : c.size] * np.outer(derivative, derivative), error)
-
-
-def _has_negative_noise(noise: Floats, variance: Floats) -> NDArray[np.bool_]:
-    """Whether a noise constant is negative beyond its error; shape (path, constant) each."""
-    return np.asarray(np.any(noise < -MOST_NEGATIVE * np.sqrt(variance), axis=1))
 
 
 def _share_misfits(curves: Sequence[CalibrationCurve]) -> list[CalibrationCurve]:

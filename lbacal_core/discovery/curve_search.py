@@ -236,7 +236,9 @@ class _Search:
             (new,) = set(fit.labels) - set(without.labels)
             if new == choice.label:
                 continue
-            r = _correlation(own, self.fitter.signature(without, fit))
+            other = self.fitter.signature(without, fit)
+            scale = float(np.sqrt((own @ own) * (other @ other)))
+            r = float(own @ other) / scale if scale > 0 else 0.0
             is_excluded = (
                 min((fit.chi2 - last.chi2) / last.scale, separable * (1 - r**2)) >= self.policy.indistinguishable
             )
@@ -244,11 +246,6 @@ class _Search:
         z, p_value = self.p_value(without, last)
         gain = self.fitter.held_out_gain(without, last)
         return CurveFinding(choice, place, without, rivals, z, p_value, gain)
-
-
-def _correlation(one: Floats, other: Floats) -> float:
-    scale = float(np.sqrt((one @ one) * (other @ other)))
-    return float(one @ other) / scale if scale > 0 else 0.0
 
 
 # The report of an LST curve as JSON values: the fields of docs/formats/investigation-report.md.

@@ -287,7 +287,10 @@ class _Sums:
         begins = time_unix if self.interval_s is None else begin + self.interval_s * np.array([k for _, k, _ in keys])
         names = [name or name_event(float(t)) for (name, *_), t in zip(keys, begins, strict=True)]
         flags = np.array([flag for *_, flag in keys])[at]
-        covariates = {name: np.array([_mean_known(one, name) for one in sums])[at] for name in self._covariates()}
+        covariates = dict[str, Floats]()
+        for name in self._covariates():
+            total, known = np.array([one.covariates.get(name, np.zeros(2)) for one in sums]).T
+            covariates[name] = np.divide(total, known, out=np.full(len(sums), np.nan), where=known > 0)[at]
         spectra = Spectra(
             frequency_mhz=self.channels.frequency_mhz[is_kept],
             power=power[at, path],
@@ -359,11 +362,6 @@ def _between(power: Floats, low: NDArray[np.int64], high: NDArray[np.int64], sha
 def _sum_known(values: Floats, length: Floats) -> Floats:
     is_known = np.isfinite(values)
     return np.array([values[is_known] @ length[is_known], length[is_known].sum()])
-
-
-def _mean_known(one: _Sum, name: str) -> float:
-    total, length = one.covariates.get(name, np.zeros(2))
-    return float(total / length) if length > 0 else float("nan")
 
 
 def _find_members(source: Source, channels: Channels) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
