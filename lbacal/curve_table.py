@@ -15,7 +15,7 @@ from astropy.table import QTable
 
 from lbacal.units import convert_number, convert_numbers
 from lbacal.voltages import budget_of, curve_of
-from lbacal_core.curves.curves import INTERFERENCE, CalibrationCurve
+from lbacal_core.curves.curves import INTERFERENCE, CalibrationCurve, statistical_errors, systematic_errors
 from lbacal_core.errors import BadInputError, UnknownNameError, name_path
 from lbacal_core.grids import Floats
 
@@ -159,8 +159,6 @@ def _combine(
     table: CurveTable, curve: CalibrationCurve, weights: Floats, frequency: Any, *, is_one: bool
 ) -> CalibrationValue:
     """Sums of C over channels, with weights of shape (sum, freq), and how their errors move together."""
-    from lbacal_core.traces.voltage import statistical_errors, systematic_errors
-
     channels = np.where(curve.has_value, np.asarray(curve.c), 0.0)
     parts = [
         np.reshape([weights @ (channels * np.nan_to_num(error)) for error in errors], (-1, len(weights)))

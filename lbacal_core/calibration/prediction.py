@@ -25,7 +25,7 @@ from lbacal_core.antenna.names import antenna_of
 from lbacal_core.calibration.one_event import compare_paths
 from lbacal_core.calibration.singles import MIN_EVENTS
 from lbacal_core.curves.covariance import Budget
-from lbacal_core.curves.curves import CONVERGED, CalibrationCurve, Parameter
+from lbacal_core.curves.curves import CONVERGED, CalibrationCurve, Parameter, statistical_errors, systematic_errors
 from lbacal_core.data.tables import read_prior
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, guess_widths
@@ -38,8 +38,6 @@ from lbacal_core.sky.sources import point_source_power, response_towards
 from lbacal_core.sky.table import read_at
 from lbacal_core.spectra.blocks import iterate_blocks
 from lbacal_core.spectra.spectra import Spectra
-from lbacal_core.traces.trace import BLOCK_SAMPLES
-from lbacal_core.traces.voltage import statistical_errors, systematic_errors
 
 BLOCK_US = BLOCK_SAMPLES / 200.0
 """Duration of a block at 200 MHz, microseconds."""

@@ -463,3 +463,30 @@ class FitReport:
 def write_fit_report(report: FitReport, path: Path) -> None:
     """Write fit.json."""
     path.write_text(json.dumps(report.as_dict(), indent=1, allow_nan=False) + "\n")
+
+
+# The errors of a curve, each fully correlated along frequency, independent of each other.
+
+SMALLEST_OWN = 1e-3
+"""Share of a channel's variance that it has for itself, below which it is left out."""
+
+
+def statistical_errors(curve: CalibrationCurve) -> list[Floats]:
+    """The errors of ln C that come from the noise of the data, shape (freq,) each."""
+    covariance = curve.covariance
+    if covariance is None:
+        return _whole_error(curve, curve.c_sigma_stat)
+    has_own = covariance.diagonal > SMALLEST_OWN * np.sum(covariance.factor**2, axis=0)
+    alone = np.diag(np.sqrt(covariance.diagonal))[has_own]
+    return [*covariance.factor, *np.where(curve.has_value, alone, np.nan)]
+
+
+def systematic_errors(curve: CalibrationCurve, budget: Budget | None = None) -> list[Floats]:
+    """The errors of ln C that come from the models of the simulation, shape (freq,) each."""
+    if curve.covariance is None or budget is None:
+        return _whole_error(curve, curve.c_sigma_sys)
+    return [*curve.covariance.own, *budget.vectors(str(curve.dipole))]
+
+
+def _whole_error(curve: CalibrationCurve, sigma: Floats | None) -> list[Floats]:
+    return [] if sigma is None or curve.c is None else [np.asarray(sigma / curve.c)]

@@ -8,13 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.curves.covariance import Budget
-from lbacal_core.curves.curves import CalibrationCurve
+from lbacal_core.curves.curves import CalibrationCurve, statistical_errors, systematic_errors
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 
 Complexes = NDArray[np.complex128]
-SMALLEST_OWN = 1e-3
-"""Share of a channel's variance that it has for itself, below which it is left out."""
 
 
 @dataclass(frozen=True)
@@ -130,24 +128,3 @@ def relative_errors(curve: CalibrationCurve, budget: Budget | None = None) -> li
     all channels together.
     """
     return [*statistical_errors(curve), *systematic_errors(curve, budget)]
-
-
-def statistical_errors(curve: CalibrationCurve) -> list[Floats]:
-    """The errors of `relative_errors` that come from the noise of the data, shape (freq,) each."""
-    covariance = curve.covariance
-    if covariance is None:
-        return _whole_error(curve, curve.c_sigma_stat)
-    has_own = covariance.diagonal > SMALLEST_OWN * np.sum(covariance.factor**2, axis=0)
-    alone = np.diag(np.sqrt(covariance.diagonal))[has_own]
-    return [*covariance.factor, *np.where(curve.has_value, alone, np.nan)]
-
-
-def systematic_errors(curve: CalibrationCurve, budget: Budget | None = None) -> list[Floats]:
-    """The errors of `relative_errors` that come from the models of the simulation, shape (freq,) each."""
-    if curve.covariance is None or budget is None:
-        return _whole_error(curve, curve.c_sigma_sys)
-    return [*curve.covariance.own, *budget.vectors(str(curve.dipole))]
-
-
-def _whole_error(curve: CalibrationCurve, sigma: Floats | None) -> list[Floats]:
-    return [] if sigma is None or curve.c is None else [np.asarray(sigma / curve.c)]
