@@ -38,6 +38,7 @@ from lbacal_core.sky.sources import point_source_power, response_towards
 from lbacal_core.sky.table import read_at
 from lbacal_core.spectra.blocks import iterate_blocks
 from lbacal_core.spectra.spectra import Spectra
+from lbacal_core.traces.trace import BLOCK_SAMPLES
 
 BLOCK_US = BLOCK_SAMPLES / 200.0
 """Duration of a block at 200 MHz, microseconds."""

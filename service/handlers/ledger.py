@@ -20,11 +20,12 @@ from service.wire.answer_models import (
     ChangeAnswer,
     ChangesAnswer,
     PromotionAnswer,
+    PromotionLine,
     PromotionsAnswer,
     TagAnswer,
     TagsAnswer,
 )
-from service.wire.answers import describe_promotion, describe_scope, fill_answer, to_json
+from service.wire.answers import describe_scope, fill_answer, to_json
 from service.wire.bodies import PromotionBody, ReasonBody, TagBody, parse_body
 
 router = APIRouter(tags=["ledger"])
@@ -109,12 +110,13 @@ def _execute(
 
 def describe_promoted(_plan: Plan, made: Sequence[Promotion], changes: Sequence[Change]) -> dict[str, Any]:
     """Describe the `changes` by one promotion, with the fields of `PromotionLine` where it was made."""
-    return {**(describe_promotion(made[0]) if made else {}), "changes": describe_changes(changes)}
+    line = fill_answer(PromotionLine, made[0], promotion=made[0].number) if made else {}
+    return {**line, "changes": describe_changes(changes)}
 
 
 def describe_act(plan: Plan, made: Sequence[Promotion], changes: Sequence[Change]) -> dict[str, Any]:
     """Describe promotions that are one act: `changes`, `promotions` (empty before they are made), `left_out`."""
-    promotions = [describe_promotion(promotion) for promotion in made]
+    promotions = [fill_answer(PromotionLine, one, promotion=one.number) for one in made]
     return {"changes": describe_changes(changes), "promotions": promotions, "left_out": dict(plan.left_out)}
 
 

@@ -53,8 +53,7 @@ class KeyStore(Store):
 
     def find(self, sha256: str) -> Key | None:
         """The key with a hash, valid or not; None where there is none."""
-        rows = self.all(sha256)
-        return rows[0] if rows else None
+        return next(iter(self.all(sha256)), None)
 
     def begin_session(self, sha256: str, key: int, expires: Instant, now: Instant) -> None:
         """Keep that a browser is logged in with a key, and forget the sessions that ran out."""

@@ -9,10 +9,10 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 
 from lbacal.instants import format_optional
-from lbacal_core.curves.validity import Instant, Promotion, Scope
+from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.provenance import as_json
 from service.errors import NotAcceptableError
-from service.wire.answer_models import INSTANT, Answer, PromotionLine
+from service.wire.answer_models import INSTANT, Answer
 
 
 def to_json(content: Any) -> bytes:
@@ -64,11 +64,6 @@ def _find(value: Any, name: str) -> Any:
 def describe_stretch(start: Instant | None, end: Instant | None, **also: Any) -> dict[str, Any]:
     """A half-open interval as text, `from` and `to` (None where it is open), with `also`."""
     return {"from": format_optional(start), "to": format_optional(end), **also}
-
-
-def describe_promotion(promotion: Promotion) -> dict[str, Any]:
-    """Describe one line of the ledger as JSON values of `PromotionLine`."""
-    return fill_answer(PromotionLine, promotion, promotion=promotion.number)
 
 
 # Which format an answer has: `format=` decides, else the header Accept, as far as we can serve it.
