@@ -34,7 +34,7 @@ def sky_power(
 
     Example: lbacal sky-power --instrument lofar-superterp --output P.json
     """
-    from lbacal_core.antenna.names import antenna_of
+    from lbacal_core.sky.antenna_of import antenna_of
     from lbacal_core.sky.model import find_sources
     from lbacal_core.sky.names import default_sky, load_sky
     from lbacal_core.sky.power import compute_sky_power

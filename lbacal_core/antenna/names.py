@@ -6,17 +6,13 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from lbacal_core.antenna.files import read_aera_xml, read_jones_npz, read_jones_text, read_nuradio_pickle, read_uvbeam
 from lbacal_core.antenna.ideal import InvertedV, IsotropicAntenna, QuarterWaveDipole, ShortDipole
 from lbacal_core.antenna.lofar import ResonanceCircuit, ResonantAntenna, load_hamaker
 from lbacal_core.antenna.model import AntennaModel, zenith_gain
-from lbacal_core.data.lofar import LOFAR_DEG, LOFAR_RADIUS_DEG
 from lbacal_core.errors import BadInputError, UnknownNameError
 from lbacal_core.foreign import parse_numbers
 from lbacal_core.instrument.antennas import ABSOLUTE, RELATIVE
-from lbacal_core.instrument.instrument import Instrument
 
 DEFAULT_ANTENNA = "hamaker"
 ANTENNAS: dict[str, Callable[[], AntennaModel]] = {
@@ -99,37 +95,3 @@ def take_antenna_gain(
     provenance["antenna_sha256"] = model.digest()
     named = {"antenna": str(Path(antenna).resolve()), "antenna_gain": [float(f"{value:.6g}") for value in gain]}
     return {**content, **named, "antenna_gain_provenance": provenance}
-
-
-# The antenna model that belongs to an instrument.
-
-
-def antenna_for_ratios(instrument: Instrument) -> str:
-    """The antenna model that an instrument names, else the default one.
-
-    For changes of the beam or the sky by ratio, P own(with) / own(without), beside a sky power that was given: there
-    the pattern of another antenna is off by the difference of the ratios only.
-    """
-    return instrument.antenna or DEFAULT_ANTENNA
-
-
-def antenna_of(instrument: Instrument) -> str:
-    """The antenna model that an instrument names; for one among LOFAR's Dutch stations that of LOFAR.
-
-    Raises
-    ------
-    BadInputError
-        Where an instrument elsewhere names none. The pattern of another antenna would put C wrong by 24-51 %.
-    """
-    if instrument.antenna is not None:
-        return instrument.antenna
-    north = instrument.latitude_deg - LOFAR_DEG[0]
-    east = (instrument.longitude_deg - LOFAR_DEG[1]) * np.cos(np.radians(LOFAR_DEG[0]))
-    if np.hypot(north, east) <= LOFAR_RADIUS_DEG:
-        return DEFAULT_ANTENNA
-    raise BadInputError(
-        f"instrument {instrument.name}: antenna",
-        f"the name of an antenna model ({', '.join(sorted(ANTENNAS))}) or a file of Jones terms, in the instrument "
-        "file or as lbacal sky-power --antenna; or a sky power file (--sky-power)",
-        "none, and the instrument does not stand among LOFAR's stations, whose antenna is the default",
-    )

@@ -12,12 +12,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.antenna.names import antenna_of
 from lbacal_core.audit.antennas import fits_cables, log_likelihood_of_unit
 from lbacal_core.audit.station import SHARE, SHARE_SPREAD, SKY_HOURS, AnyReceiver, AuditedStation, Seen, make_series
 from lbacal_core.audit.verdict import LEAST_GAIN, UNDECIDED, Line, Possibility, conclude
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.sky.antenna_of import antenna_of
 from lbacal_core.sky.differences import WIDE_MODELS, DifferenceModels, list_patterns
 from lbacal_core.sky.model import DATA_EPOCH, Complexes, precess_multipoles
 from lbacal_core.sky.modes import combine, sky_power_at

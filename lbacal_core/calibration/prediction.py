@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.antenna.names import antenna_of
 from lbacal_core.calibration.one_event import compare_paths
 from lbacal_core.calibration.singles import MIN_EVENTS
 from lbacal_core.curves.covariance import Budget
@@ -34,6 +33,7 @@ from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.instrument.matching import RESISTANCE_OHM, power_per_kelvin_sr
 from lbacal_core.provenance import as_json
 from lbacal_core.simulation.simulation import Simulation, noise_at_input, noise_of, terms_of
+from lbacal_core.sky.antenna_of import antenna_of
 from lbacal_core.sky.sources import point_source_power, response_towards
 from lbacal_core.sky.table import read_at
 from lbacal_core.spectra.blocks import iterate_blocks

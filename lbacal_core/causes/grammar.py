@@ -355,7 +355,7 @@ COURSES: dict[str, Kind] = {
     "between": Kind(
         lambda c, begin, days: c.after(_unix(begin))[:, 0] - c.after(_unix(begin) + days * DAY_S)[:, 0],
         lambda c: (
-            [(write_instant(at), days) for days in (10.0, 20.0, 30.0, 45.0, 65.0, 90.0) for at in c.step_dates(36)]
+            [(write_instant(at), days) for days in (10, 20, 30, 45, 65, 90) for at in c.step_dates(36)]
             if c.has_dates
             else []
         ),

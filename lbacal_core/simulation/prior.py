@@ -15,13 +15,14 @@ from threadpoolctl import threadpool_limits
 
 from lbacal_core.antenna.ideal import QuarterWaveDipole, ShortDipole
 from lbacal_core.antenna.model import AntennaModel
-from lbacal_core.antenna.names import antenna_of, load_antenna
+from lbacal_core.antenna.names import load_antenna
 from lbacal_core.data.constants import SPEED_OF_LIGHT
 from lbacal_core.data.tables import read_prior
 from lbacal_core.errors import BadInputError, require_name
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import hash_content
+from lbacal_core.sky.antenna_of import antenna_of
 from lbacal_core.sky.differences import LST_HOURS, ZENITH_GAIN, DifferenceModels, compute_model_differences, waves_at
 from lbacal_core.sky.power import compute_sky_power, vary_sky_power
 from lbacal_core.sky.sky_terms import PAPER, SKY_BUDGETS, SkyTerm, sky_terms

@@ -17,12 +17,13 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from lbacal_core.antenna.names import DEFAULT_ANTENNA, antenna_for_ratios, load_antenna
+from lbacal_core.antenna.names import DEFAULT_ANTENNA, load_antenna
 from lbacal_core.antenna.varied import VariedAntenna
 from lbacal_core.data.tables import read_prior
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.linear import fit_least_squares
+from lbacal_core.sky.antenna_of import antenna_for_ratios
 from lbacal_core.sky.model import DATA_EPOCH, Complexes, precess_multipoles
 from lbacal_core.sky.modes import beam_multipoles, combine, sky_power_at
 from lbacal_core.sky.names import DEFAULT_SKY, default_sky, load_sky

@@ -8,11 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from lbacal_core.antenna.model import AntennaModel, zenith_gain
-from lbacal_core.antenna.names import antenna_for_ratios, antenna_of, load_antenna
+from lbacal_core.antenna.names import load_antenna
 from lbacal_core.antenna.varied import VariedAntenna
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import hash_content
+from lbacal_core.sky.antenna_of import antenna_for_ratios, antenna_of
 from lbacal_core.sky.model import DATA_EPOCH, SkyModel, precess_multipoles
 from lbacal_core.sky.modes import beam_multipoles, combine, sky_power_at
 from lbacal_core.sky.names import default_sky, load_sky

@@ -17,13 +17,14 @@ import numpy as np
 
 from lbacal_core.antenna.ideal import ShortDipole
 from lbacal_core.antenna.model import AntennaModel
-from lbacal_core.antenna.names import antenna_of, load_antenna
+from lbacal_core.antenna.names import load_antenna
 from lbacal_core.data.tables import read_prior
 from lbacal_core.errors import require_name
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.instrument.matching import power_per_kelvin_sr
 from lbacal_core.linear import root_of
+from lbacal_core.sky.antenna_of import antenna_of
 from lbacal_core.sky.model import DATA_EPOCH, SkyModel, precess_multipoles
 from lbacal_core.sky.modes import beam_multipoles, beam_on_equator
 from lbacal_core.sky.names import (

@@ -8,13 +8,14 @@ from dataclasses import replace
 import numpy as np
 
 from lbacal_core.antenna.model import AntennaModel, directional_response
-from lbacal_core.antenna.names import antenna_for_ratios, load_antenna
+from lbacal_core.antenna.names import load_antenna
 from lbacal_core.antenna.varied import raise_arm
 from lbacal_core.data.constants import IMPEDANCE_OF_FREE_SPACE
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.instrument.matching import RESISTANCE_OHM
 from lbacal_core.provenance import hash_content
+from lbacal_core.sky.antenna_of import antenna_for_ratios
 from lbacal_core.sky.model import DATA_EPOCH, PointSource, local_direction, precess
 from lbacal_core.sky.table import SkyPower
 

@@ -6,11 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lbacal_core.antenna.names import antenna_of, load_antenna
+from lbacal_core.antenna.names import load_antenna
 from lbacal_core.antenna.varied import VariedAntenna
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.antennas import GainProvenance
 from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.sky.antenna_of import antenna_of
 from lbacal_core.sky.model import find_sources
 from lbacal_core.sky.power import compute_sky_power, vary_sky_power
 from lbacal_core.sky.sources import add_sources, response_towards
