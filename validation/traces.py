@@ -14,8 +14,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from lbacal_core.grids import Floats
-from lbacal_core.traces.background import CleaningSettings, PathBackground, measure_traces, select_background
+from lbacal_core.traces.background import CleaningSettings, PathBackground, measure_traces
 from lbacal_core.traces.density import bin_weights, effective_channels
+from lbacal_core.traces.selection import select_background
 from lbacal_core.traces.trace import BLOCK_SAMPLES, Trace, TraceReference
 from lbacal_twin.voltages import Shower, Transmitter, digitise, draw_noise
 from validation.machinery.claims import Found, One, mean_of, rate_of, spread_interval, worst_of

@@ -84,12 +84,8 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {
-        "day": format_day, "scope": name_scope,
-        "moment": lambda instant: f"{datetime.fromtimestamp(instant // 1_000_000, UTC):%Y-%m-%d %H:%M:%S}",
-        "percent": lambda fraction, digits=1: "" if fraction is None else write_percent(fraction, digits),
-        "days": lambda days: f"{days:.1f}" if days < SHORT_DAYS else f"{days:.0f}",
-    }  # fmt: skip
+    environment.filters |= {"day": format_day, "moment": format_moment, "percent": format_percent, "scope": name_scope}
+    environment.filters["days"] = format_days
     environment.filters |= {"short": lambda text: text[:10], "chance": write_chance, "change": write_change}
     environment.filters |= {"members": name_members, "shapes": tell_shapes, **FILTERS}
     environment.filters |= {"whose": charts.name_members, "address": charts.address_of}
@@ -128,6 +124,21 @@ def _name_cells(table: re.Match[str]) -> str:
 def format_day(instant: Instant | None) -> str:
     """The date of an instant; an open end in words."""
     return "further notice" if instant is None else format_instant(instant)[:10]
+
+
+def format_moment(instant: Instant) -> str:
+    """Write an instant to the second, such as 2014-05-01 00:00:00, UTC."""
+    return datetime.fromtimestamp(instant // 1_000_000, UTC).strftime("%Y-%m-%d %H:%M:%S")
+
+
+def format_percent(fraction: float | None, digits: int = 1) -> str:
+    """Write a signed change in percent."""
+    return "" if fraction is None else write_percent(fraction, digits)
+
+
+def format_days(days: float) -> str:
+    """A number of days with as many digits as say something."""
+    return f"{days:.1f}" if days < SHORT_DAYS else f"{days:.0f}"
 
 
 def name_scope(scope: Scope) -> str:

@@ -9,15 +9,9 @@ from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.spectra.screening import FEWEST_EVENTS
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_core.traces.assembly import find_anomalous_spectra
-from lbacal_core.traces.background import (
-    CleaningSettings,
-    bin_spectrum,
-    find_keyed_blocks,
-    measure_background,
-    measure_traces,
-    select_background,
-)
+from lbacal_core.traces.background import CleaningSettings, bin_spectrum, measure_background, measure_traces
 from lbacal_core.traces.density import channel_frequencies, density_per_square, transform_blocks
+from lbacal_core.traces.selection import find_keyed_blocks, select_background
 from lbacal_core.traces.trace import Trace, group_traces, list_traces
 from lbacal_twin.voltages import Shower, Transmitter
 
