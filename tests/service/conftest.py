@@ -25,6 +25,7 @@ from fastapi.testclient import TestClient
 from lbacal_core.curves.curves import CONVERGED, CalibrationCurve
 from lbacal_core.curves.validity import Scope
 from lbacal_core.instrument.instrument import Instrument, load_instrument
+from lbacal_core.provenance import MODEL_VERSION, Provenance
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.power import compute_sky_power
 from lbacal_core.sky.table import read_sky_power, write_sky_power
@@ -41,6 +42,7 @@ from service.storage.database import Database
 from service.storage.jobs import Job
 from service.storage.migration import upgrade
 from service.storage.versions import Version
+from service.usecases.orders import Inputs
 from service.wire.bodies import RefitBody
 from service.worker import Worker
 from validation.running.postgres import run_postgres
@@ -102,6 +104,14 @@ def night(factory: Factory) -> list[Job]:
     numbers = look_for_due_work(factory)
     work(factory)
     return [get_job(factory, number) for number in numbers]
+
+
+def take_another_model(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is made from now on has another version of the model, as after an upgrade."""
+    monkeypatch.setattr("service.usecases.fits.MODEL_VERSION", 99)
+    for made in (Provenance, Inputs):
+        defaults = tuple(99 if value == MODEL_VERSION else value for value in made.__init__.__defaults__)
+        monkeypatch.setattr(made.__init__, "__defaults__", defaults)
 
 
 def refit(factory: Factory, scope: str, **more: Any) -> Job:

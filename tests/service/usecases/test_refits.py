@@ -11,7 +11,6 @@ from sqlalchemy import update
 
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.curves.validity import Promotion, Scope
-from lbacal_core.provenance import MODEL_VERSION
 from lbacal_core.spectra.spectra import Spectra
 from service.factory import Factory
 from service.scheduler import look_for_due_work
@@ -21,7 +20,17 @@ from service.storage.jobs import Job
 from service.storage.versions import Examined, Version
 from service.usecases.refits import _confirm, _find_alike
 from service.wire.bodies import ChangeBody, DecisionBody, PromotionBody
-from tests.service.conftest import add_spectra, get_version, instant, like, new_version, night, refit, work
+from tests.service.conftest import (
+    add_spectra,
+    get_version,
+    instant,
+    like,
+    new_version,
+    night,
+    refit,
+    take_another_model,
+    work,
+)
 
 
 @pytest.fixture
@@ -253,12 +262,7 @@ def test_a_night_with_news_stores_it(after_night: Factory, campaign: Spectra) ->
 @pytest.mark.long
 def test_another_model_is_news_even_where_c_stays(after_night: Factory, monkeypatch: pytest.MonkeyPatch) -> None:
     before = count(after_night, "calibration")
-    monkeypatch.setattr("service.usecases.fits.MODEL_VERSION", 99)
-    for place in ("lbacal_core.provenance.Provenance.__init__", "service.usecases.orders.Inputs.__init__"):
-        module, owner, _ = place.rsplit(".", 2)
-        made = getattr(__import__(module, fromlist=[owner]), owner)
-        defaults = tuple(99 if value == MODEL_VERSION else value for value in made.__init__.__defaults__)
-        monkeypatch.setattr(made.__init__, "__defaults__", defaults)
+    take_another_model(monkeypatch)
     with like(after_night) as later:
         results = [job.results[0] for job in refits_of_night(later)]
     assert [result["examined"] for result in results] == [0] * 6

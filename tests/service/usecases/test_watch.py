@@ -39,7 +39,7 @@ from service.usecases.watch import KIND as WATCH
 from service.usecases.watch import read_changes, settle_changes, tell_news
 from service.usecases.windows import share_misfits
 from service.wire.bodies import InvestigationBody, ReasonBody
-from tests.service.conftest import get_job, night, refit, served, work
+from tests.service.conftest import get_job, like, night, refit, served, take_another_model, work
 
 BEGIN = parse_instant("", "2015-01-01")
 OPEN_ALARMS = AlarmsAsked(("open",), 100)
@@ -126,7 +126,9 @@ def test_a_step_and_a_swapped_cable_end_as_a_change_point_and_a_new_window(watch
 
 @pytest.mark.long
 @pytest.mark.parametrize("database_url", ["sqlite"], indirect=True)
-def test_drift_called_for_its_own_reference_without_end(make_service: Callable[..., Factory], changed: Spectra) -> None:
+def test_drift_called_for_its_own_reference_without_end(
+    make_service: Callable[..., Factory], changed: Spectra, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """In its first year it was measured against what its own changes had cut, and might then find others."""
     watched, path = make_service(changed.select(changed.time_unix >= BEGIN / 1e6)), Scope("CS002", 1, "Y")
     watch_night(watched)
@@ -136,6 +138,12 @@ def test_drift_called_for_its_own_reference_without_end(make_service: Callable[.
         held = stores.versions.get(find_references(stores, watched.instrument, "CS002")[path])
     assert len(in_effect(watched, path)) == 2, "cut where its cable was swapped"
     assert (held.since, held.until) == (BEGIN, parse_instant("", "2016-01-01")), "what was made of the whole year"
+    take_another_model(monkeypatch)
+    with like(watched) as later:
+        kinds = [{kind for kind, *_ in watch_night(later)} for _ in range(3)]
+        assert "refit" in kinds[0]
+        assert not kinds[2] & {"refit", "drift"}, "no version of the whole year is of this model, and yet it rests"
+        assert len(in_effect(later, path)) == 2
 
 
 def dismiss_and_take_back(watched: Factory, path: Scope) -> None:
