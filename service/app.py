@@ -13,7 +13,20 @@ from starlette.middleware.gzip import GZipMiddleware
 from starlette.routing import BaseRoute
 
 from service.factory import Factory
-from service.handlers import acts, calibrations, drift, health, jobs, ledger, models, pages, problems, session, spectra
+from service.handlers import (
+    acts,
+    calibrations,
+    drift,
+    health,
+    jobs,
+    ledger,
+    life,
+    models,
+    pages,
+    problems,
+    session,
+    spectra,
+)
 from service.handlers.edge import BAD_KEYS_AT_ONCE, BAD_KEYS_PER_S, AnswersHead, Buckets, Edge, Traffic
 from service.handlers.request import LARGE_READS, require_acceptable, require_known_query
 
@@ -58,7 +71,7 @@ def _list_routes() -> list[BaseRoute]:
         calibrations.predictions,
         drift.router,
         drift.changes,
-        drift.lives,
+        life.router,
         drift.alarms,
         health.router,
         pages.router,

@@ -27,7 +27,7 @@ import numpy as np
 
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.settings import TwinSettings
-from service.cli.processes import configure_logs
+from service.cli.opening import configure_logs
 from service.worker import Worker
 from validation.kills import SETTINGS, SKY, broken_of, simulate
 from validation.machinery.claims import Found, exactly

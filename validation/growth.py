@@ -24,7 +24,7 @@ from lbacal_core.drift.follow import FEWEST_YEARS
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.spectra.spectra import Spectra
 from service.app import make_app
-from service.cli.processes import configure_logs
+from service.cli.opening import configure_logs
 from service.factory import Factory
 from service.schema.tables import job, job_part
 from service.storage.drift import NUMBERS, PathMonths

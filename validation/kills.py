@@ -37,7 +37,7 @@ from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.fault import Fault
 from lbacal_twin.settings import TwinSettings
-from service.cli.processes import configure_logs
+from service.cli.opening import configure_logs
 from service.config import Settings
 from service.storage.database import Database
 from service.usecases.calibrations import select_paths

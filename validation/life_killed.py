@@ -26,7 +26,7 @@ from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.faults.fault import Where
 from lbacal_twin.faults.hardware import GainStep
 from lbacal_twin.settings import TwinSettings
-from service.cli.processes import configure_logs
+from service.cli.opening import configure_logs
 from service.errors import ConflictError
 from service.factory import Factory
 from service.scheduler import look_for_due_work

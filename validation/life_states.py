@@ -37,7 +37,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition,
 
 from lbacal.instants import DAY_US, format_instant
 from lbacal_core.curves.validity import Instant, Promotion, Scope
-from service.cli.processes import configure_logs
+from service.cli.opening import configure_logs
 from service.config import Settings
 from service.errors import ConflictError
 from service.factory import Factory

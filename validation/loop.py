@@ -34,7 +34,7 @@ from lbacal_twin.faults.fault import Fault
 from lbacal_twin.faults.hardware import GainTemperature
 from lbacal_twin.faults.sky import DipoleSwap, IonosphericAbsorption, LstOffset, RfiBroadband
 from lbacal_twin.settings import TwinSettings
-from service.cli.processes import configure_logs
+from service.cli.opening import configure_logs
 from service.config import Settings
 from service.errors import NotInEffectError
 from service.factory import Factory

@@ -32,7 +32,7 @@ from lbacal_twin.campaign import Campaign, simulate_campaign
 from lbacal_twin.faults.fault import Fault, Where
 from lbacal_twin.hardware import Scene, Stages
 from lbacal_twin.settings import DAY_S, START_2014, YEAR_S, TwinSettings
-from service.cli.processes import configure_logs
+from service.cli.opening import configure_logs
 from service.config import Settings
 from service.errors import NotInEffectError
 from service.factory import Factory

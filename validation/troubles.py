@@ -31,7 +31,7 @@ from lbacal_core.curves.validity import Instant
 from lbacal_core.instrument.instrument import load_instrument
 from service.app import make_app
 from service.cli.connections import configure_server, listen
-from service.cli.processes import configure_logs
+from service.cli.opening import configure_logs
 from service.config import Settings
 from service.factory import Factory
 from service.storage.database import FULL, READ_ONLY

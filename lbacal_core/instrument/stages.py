@@ -23,7 +23,8 @@ import numpy as np
 from lbacal_core.errors import BadInputError, require_name
 from lbacal_core.foreign import parse_name, parse_number, parse_numbers
 from lbacal_core.grids import Floats, interpolate
-from lbacal_core.instrument.matching import Impedance, match_power, read_impedance, read_touchstone, require_passive
+from lbacal_core.instrument.matching import Impedance, match_power, read_impedance, require_passive
+from lbacal_core.instrument.touchstone import read_touchstone
 
 SEEN = ("antenna", "ground", "ice")
 """Kinds that the antenna sees or is: `antenna` adds the same to P_sky at each frequency, the others are warm bodies."""

@@ -11,7 +11,7 @@ import structlog
 
 from lbacal.engine import Engine, read_address
 from lbacal_core.errors import LbacalError
-from service.cli.processes import open_factory
+from service.cli.opening import open_factory
 from service.factory import Factory
 from service.scheduler import run_scheduler
 from service.worker import Worker

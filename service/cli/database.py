@@ -23,7 +23,7 @@ def upgrade() -> None:
 
     Example: LBACAL_DATABASE_URL=postgresql://lbacal@db/lbacal lbacal db upgrade
     """
-    from service.cli.processes import wait_for_database
+    from service.cli.opening import wait_for_database
     from service.storage import migration
 
     factory = _factory()

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from lbacal.cli.main import app
 from service.cli.database import db, keys
-from service.cli.processes import scheduler, serve, worker
+from service.cli.processes import scheduler, worker
+from service.cli.serve import serve
 
 for command in (serve, scheduler, worker):
     app.command()(command)

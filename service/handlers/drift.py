@@ -15,10 +15,8 @@ from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import BadInputError
 from service.factory import Factory
 from service.handlers.ledger import PROMOTE, describe_changes
-from service.handlers.models import describe_investigation, describe_model
 from service.handlers.request import (
     AntennaQuery,
-    InPath,
     JobNumber,
     JsonBody,
     Limit,
@@ -34,17 +32,7 @@ from service.storage.changes import Change, Evidence, KeptChange, concerns
 from service.usecases.calibrations import select_paths
 from service.usecases.drift import DriftSeries, MonthPoint, Step
 from service.usecases.keys import Caller
-from service.usecases.life import Life, list_bad
 from service.wire import answer_models as wire
-from service.wire.answer_models import (
-    BadAntennasAnswer,
-    BadPathAnswer,
-    EpochAnswer,
-    FactorAnswer,
-    InEffectStretch,
-    LifeAnswer,
-    VersionAnswer,
-)
 from service.wire.answers import describe_scope, fill_answer
 from service.wire.bodies import AcknowledgementBody, ChangeBody, DecisionBody, parse_body
 
@@ -247,61 +235,3 @@ def describe_change(kept: KeptChange, use: Factory) -> dict[str, Any]:
         reason=f"found by {first.source}" if said is None else said.reason,
         cuts_windows=bool(kept.cuts),
     )  # fmt: skip
-
-
-# The life of a path, a station or the array: what was in effect when, and all that happened to it.
-
-lives = APIRouter(tags=["life"])
-
-
-@reads(lives, "/v1/paths/{station}/{antenna}/{dipole}/life", LifeAnswer, takes_turn=True)
-def get_life_of_path(request: Request, use: UseCases, station: InPath, antenna: Whole, dipole: InPath) -> Response:
-    """Get the life of a path.
-
-    Its epochs between the changes in force, what was in effect when, and the versions, changes, causes, alarms and
-    investigations that concern it, each in order of time.
-    """
-    return answer(request, describe_life(use.lives.of(station, antenna, dipole), use))
-
-
-@reads(lives, "/v1/stations/{station}/life", LifeAnswer, takes_turn=True)
-def get_life_of_station(request: Request, use: UseCases, station: InPath) -> Response:
-    """Get the life of a station, as that of a path."""
-    return answer(request, describe_life(use.lives.of(station), use))
-
-
-@reads(lives, "/v1/life", LifeAnswer, takes_turn=True)
-def get_life_of_array(request: Request, use: UseCases) -> Response:
-    """Get the life of the array, as that of a path."""
-    return answer(request, describe_life(use.lives.of(None), use))
-
-
-@reads(lives, "/v1/antennas/bad", BadAntennasAnswer)
-def get_bad_antennas(request: Request, use: UseCases, at: str | None = None, station: str | None = None) -> Response:
-    """Antennas not to be used at an instant (now unless given).
-
-    Silent ones, those that investigations left out as insensitive, and those that lost more than half of their power
-    at a change in force.
-    """
-    instant = use.clock() if at is None else parse_instant("at", at)
-    bad = [
-        fill_answer(BadPathAnswer, one, **describe_scope(one.path), reason=one.sentence)
-        for one in list_bad(use.database, use.instrument, instant, station)
-    ]
-    return answer(request, {"at": format_instant(instant), "bad": bad})
-
-
-def describe_life(life: Life, use: Factory) -> dict[str, Any]:
-    """Describe a life as JSON values of `LifeAnswer`."""
-    return {
-        "epochs": [fill_answer(EpochAnswer, one) for one in life.epochs],
-        "in_effect": [
-            fill_answer(InEffectStretch, one, factor=factor and [fill_answer(FactorAnswer, at) for at in factor])
-            for one, factor in zip(life.in_effect, life.factors, strict=True)
-        ],
-        "versions": [fill_answer(VersionAnswer, one) for one in life.versions],
-        "changes": [describe_change(one, use) for one in life.changes],
-        "causes": [describe_model(one) for one in life.causes],
-        "alarms": [describe_alarm(one, use.clock()) for one in life.alarms],
-        "investigations": [describe_investigation(one) for one in life.investigations],
-    }

@@ -22,7 +22,7 @@ import numpy as np
 from playwright.sync_api import Playwright, sync_playwright
 
 from lbacal_core.curves.validity import Promotion, Scope
-from service.cli.processes import configure_logs
+from service.cli.opening import configure_logs
 from validation.benchmarks.reads import enrich
 from validation.growth import FIRST, PATHS, STATIONS, fill, make_version
 from validation.running.ledger import open_factory, write_promotions

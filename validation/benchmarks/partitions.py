@@ -23,7 +23,7 @@ from lbacal.instants import parse_instant
 from lbacal_core.curves.validity import Scope
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.spectra.spectra import Spectra
-from service.cli.processes import configure_logs
+from service.cli.opening import configure_logs
 from service.factory import Factory
 from service.storage.database import Database
 from service.storage.spectra import Window

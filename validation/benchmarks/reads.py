@@ -27,7 +27,7 @@ from lbacal_core.curves.covariance import Budget, BudgetTerm, CurveCovariance
 from lbacal_core.curves.curves import Parameter
 from lbacal_core.curves.validity import Promotion, Scope
 from service.app import make_app
-from service.cli.processes import configure_logs
+from service.cli.opening import configure_logs
 from service.factory import Factory
 from service.handlers.request import answer, require_read
 from service.storage.spectra import Window

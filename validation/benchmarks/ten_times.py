@@ -31,7 +31,7 @@ from lbacal_core.sky.table import read_sky_power, write_sky_power
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
-from service.cli.processes import configure_logs
+from service.cli.opening import configure_logs
 from service.config import Settings
 from service.factory import Factory
 from service.scheduler import look_for_due_work

@@ -14,7 +14,8 @@ from astropy import units as u
 import lbacal
 from lbacal_core.errors import BadInputError, LbacalError
 from lbacal_core.instrument.instrument import parse_instrument
-from lbacal_core.instrument.matching import T_0, match_noise, match_power, read_touchstone
+from lbacal_core.instrument.matching import T_0, match_noise, match_power
+from lbacal_core.instrument.touchstone import read_touchstone
 
 S11 = 0.5 * np.exp(1j * np.radians(-30.0))
 
