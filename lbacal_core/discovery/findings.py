@@ -139,7 +139,7 @@ class StationSearch:
         said = self._say(before, sentences[0], [one.gain for one in named] or [*map(_gain_beyond_chance, significant)])
         beyond = 2.0 * self.policy.likelier
         best = named[0] if named else None
-        if said is None or (best and (said.gain < best.gain + beyond or self._is_alike(before.linear, said, best))):
+        if said is None or (best and (said.gain < best.gain + beyond or self._is_alike(before, said, best))):
             beside = [
                 replace(one, sentences=[other.hypothesis for other in sentences if one.gain - other.gain < beyond])
                 for one in named
@@ -174,13 +174,14 @@ class StationSearch:
         events = int(before.station.is_used.sum())
         return Candidate(Score(SENTENCE, one.template, one.target, one.z, one.size, events, chance), fitted, gain)
 
-    def _is_alike(self, model: LinearModel, said: Candidate, named: Candidate) -> bool:
-        """Whether a sentence says of a target what a cause does: the name then tells more."""
+    def _is_alike(self, before: FittedModel, said: Candidate, named: Candidate) -> bool:
+        """Whether a sentence says of a target what a cause does, and fits no better: the name then tells more."""
         one, other = said.model.hypotheses[-1], named.model.hypotheses[-1]
-        if one.target.label != other.target.label:
+        of_said, of_named = (gain_in_chi_squared(before, each.model) for each in (said, named))
+        if one.target.label != other.target.label or of_said - of_named > self.policy.indistinguishable:
             return False
-        conditions = model.station.conditions
-        known = model.on_events(other.cause.known_events(conditions, other.template))
+        conditions = before.station.conditions
+        known = before.linear.on_events(other.cause.known_events(conditions, other.template))
         families = group_templates(conditions, other.cause, [other.template])
         ((r,),) = overlap(known, one.cause, one.template, one.target, families)
         return bool(abs(r) > self.policy.alike)

@@ -35,9 +35,9 @@ class Policy:
     likelier
         ln of the odds by which a sentence must be likelier than the likeliest cause: 20 to 1.
     alike
-        Correlation of the templates of a sentence and a cause above which they say the same, and the cause is named:
-        three true interferences by hours had 0.95 and more, of 13 gains along LST and UTC, named falsely, 12 had 0.89
-        and less (debug data sets).
+        Correlation of the templates of a sentence and a cause above which they say the same: the cause is named unless
+        the sentence fits better by more than `indistinguishable`. Three true interferences by hours had 0.95 and more,
+        of 20 gains along LST and UTC, named falsely, 13 had 0.89 and less (debug data sets).
     hidden_share
         Share of the information of a cause that free differences between models leave, below which they hide it: it is
         then neither looked for nor named. They leave nothing of a slope of N_LNA and of an isotropic level, and 0.06
