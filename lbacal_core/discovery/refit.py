@@ -27,6 +27,10 @@ from lbacal_core.linear import invert_symmetric, solve_symmetric
 
 MAX_ROUNDS = 8
 """Newton steps: causes that are close to linear need two or three."""
+CHAIN_FITS = 8
+CHAIN_STANDS_STILL = 1e-3
+"""Fits of the chain beside hypotheses, at most, and the share of what these do to the power by which that may still
+move with the chain: less than `STANDS_STILL` for effects of 20 standard deviations."""
 STANDS_STILL = 0.02
 """Standard deviations by which a size may still move when the fit counts as converged."""
 LARGEST_CHANGE = 50.0
@@ -192,27 +196,22 @@ def fit_sizes(
     """
     limit = np.array([one.cause.largest_step for one in hypotheses])
     at = np.arange(len(hypotheses)) if is_free is None else np.flatnonzero(is_free)
-    if noise is not None:
-        baseline = replace(baseline, terms=with_noise(station, baseline.terms, noise))
+    sizes, before = np.array([one.size for one in hypotheses]), None
     for _ in range(MAX_ROUNDS):
-        ratio = power_ratio(station, baseline.terms, hypotheses)
-        if not np.all((ratio > LARGEST_CHANGE**-1) & (ratio < LARGEST_CHANGE)):
+        beside = _fit_beside(station, baseline, hypotheses, noise)
+        if beside is None or _has_run_away(station, beside, hypotheses):
             return None
-        baseline = fit_baseline(station, ratio)
-        if noise is not None:
-            baseline = replace(baseline, terms=with_noise(station, baseline.terms, noise))
-        if _has_run_away(station, baseline, hypotheses):
-            return None
+        baseline = beside
         linear = linearise(station, baseline, modes, hypotheses)
         if not float(np.std(linear.residuals.mean)) < LARGEST_CHANGE:
             return None
         # The noise levels stay those of the model before, so that every round minimises the same chi^2.
         weighed = linear.with_levels(levels)
         conditions = station.conditions
-        beside = [act_together(station, baseline.terms, [o for o in hypotheses if o is not one]) for one in hypotheses]
+        others = [act_together(station, baseline.terms, [o for o in hypotheses if o is not one]) for one in hypotheses]
         templates = [
             signature(one.cause, terms, conditions, one.template, one.size)
-            for one, terms in zip(hypotheses, beside, strict=True)
+            for one, terms in zip(hypotheses, others, strict=True)
         ]
         score, information = weighed.products(templates, [one.target for one in hypotheses])
         own = information[np.ix_(at, at)]
@@ -225,8 +224,39 @@ def fit_sizes(
         fitted = [replace(one, sigma=float(s)) for one, s in zip(hypotheses, sigma, strict=True)]
         if is_converged:
             break
-        hypotheses = [replace(one, size=one.size + float(d)) for one, d in zip(fitted, step, strict=True)]
+        sizes, before = sizes + (step if before is None else _secant(sizes, step, sigma, *before)), (sizes, step)
+        hypotheses = [replace(one, size=float(size)) for one, size in zip(fitted, sizes, strict=True)]
     return FittedModel(fitted, baseline, linear, is_converged, noise), information
+
+
+def _fit_beside(
+    station: Station, baseline: Baseline, hypotheses: Sequence[Hypothesis], noise: Noise | None
+) -> Baseline | None:
+    """Fit the chain beside hypotheses until what they do by its constants stands still; None where they run away."""
+    if noise is not None:
+        baseline = replace(baseline, terms=with_noise(station, baseline.terms, noise))
+    ratio = power_ratio(station, baseline.terms, hypotheses)
+    for _ in range(CHAIN_FITS):
+        if not np.all((ratio > LARGEST_CHANGE**-1) & (ratio < LARGEST_CHANGE)):
+            return None
+        baseline = fit_baseline(station, ratio)
+        if noise is not None:
+            baseline = replace(baseline, terms=with_noise(station, baseline.terms, noise))
+        last, ratio = ratio, power_ratio(station, baseline.terms, hypotheses)
+        if np.linalg.norm(np.log(ratio / last)) < CHAIN_STANDS_STILL * np.linalg.norm(np.log(ratio)):
+            break
+    return baseline
+
+
+def _secant(sizes: Floats, step: Floats, sigma: Floats, last_sizes: Floats, last_step: Floats) -> Floats:
+    """The step to where the steps end if they go on changing as they did; shape (hypothesis,) each.
+
+    The chain that is fitted beside the sizes answers each step, so that steps alone may swing for many rounds: Anderson
+    (1965, J. ACM 12, 547) with one step remembered, of one size the method of secants.
+    """
+    change = step - last_step
+    share = float(np.sum(change * step / sigma**2) / max(np.sum((change / sigma) ** 2), SMALLEST_DIFFERENCE))
+    return np.asarray(step - share * (sizes - last_sizes + change))
 
 
 def _has_run_away(station: Station, baseline: Baseline, hypotheses: Sequence[Hypothesis]) -> bool:

@@ -6,7 +6,7 @@ import pytest
 from lbacal_core.causes.cause import Template
 from lbacal_core.discovery.refit import FOLDS, average_size, open_noise, refit
 from lbacal_twin.faults.fault import Where
-from lbacal_twin.faults.hardware import GainDrift, GainStep, LnaNoiseSlope
+from lbacal_twin.faults.hardware import AdcJitter, Compression, GainDrift, GainStep, LnaNoiseSlope
 from lbacal_twin.faults.sky import LstOffset, RfiBroadband
 from tests.lbacal_core.discovery.worlds import CALM, CannotBeFittedError, look_at
 from validation.anywhere import STEP, investigate_drawn
@@ -54,6 +54,18 @@ def test_a_channel_in_which_the_fitted_sky_is_below_zero_stops_no_fit(world):
     assert model is not None
     terms = model.baseline.terms
     assert np.any((terms.sky * terms.front)[:, :, -1] < 0.0)
+
+
+@pytest.mark.parametrize("cause", ["adc_jitter", "compression"])
+def test_a_size_is_the_same_wherever_its_fit_starts(cause, world):
+    """Noise constants answered each step, and large jitter swung about its end for all rounds."""
+    faults = {"adc_jitter": AdcJitter(size=0.1), "compression": Compression(size=0.3)}
+    look = world.look(faults[cause])
+    start = look.fit(cause, look.template(cause)).effect
+    ends = [refit(look.model, replace(start, size=share * start.size)) for share in (0.7, 1.3)]
+    assert all(one is not None and one.is_converged for one in ends)
+    one, other = (model.hypotheses[-1] for model in ends)
+    assert one.size == pytest.approx(other.size, abs=0.05 * one.sigma)
 
 
 @pytest.mark.long
