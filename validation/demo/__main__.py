@@ -217,10 +217,9 @@ def main(arguments: Sequence[str] = (), output: Path = Path("var/report.html")) 
         output.write_text(render_report(shown, served), encoding="utf-8")
         write_spectra(hidden, output.with_name("spectra.h5"))
         print(f"\n{time.monotonic() - began:.0f} s. Open {output}. Next, on the year with the Sun:")
-        print(f"  .venv/bin/lbacal fit {output.parent}/spectra.h5 --instrument lofar-superterp --html var/fit.html")
-        print(
-            f"  .venv/bin/lbacal investigate {output.parent}/spectra.h5 --instrument lofar-superterp --html var/R.html"
-        )
+        data = f"{output.parent}/spectra.h5 --instrument lofar-superterp"
+        print(f"  .venv/bin/lbacal fit {data} --output var/C.h5 --report var/C.json --html var/fit.html")
+        print(f"  .venv/bin/lbacal investigate {data} --report var/R.json --html var/R.html")
         if stays:
             print(f"The page is {server.url}/, the interface {server.url}/docs; Ctrl-C ends", flush=True)
             _wait_for_interrupt()

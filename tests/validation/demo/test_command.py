@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -31,6 +32,11 @@ def test_the_demo_finds_what_it_planted_and_ends_by_itself(tmp_path: Path) -> No
     assert "4. In effect on a date" in page
     spectra = read_spectra(tmp_path / "var/spectra.h5")
     assert np.unique(spectra.event_id).size > 250, "a reader of the README has no spectra to begin with"
+    for next_step in re.findall(r"^  \.venv/bin/(lbacal .+)$", done.stdout, re.MULTILINE):
+        command = [sys.executable, "-m", *next_step.split()]
+        told = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert told.returncode == 0, next_step + told.stderr
+    assert {path.name for path in tmp_path.glob("var/*.html")} == {"report.html", "fit.html", "R.html"}
 
 
 def test_the_demo_names_what_it_does_not_know() -> None:
