@@ -84,10 +84,8 @@ def _tell_refuted_before(by_proof: Mapping[str, Sequence[Record]], history: Sequ
         now = {claim.key for claim in record.claims if claim.verdict != REFUTED}
         refuted = [claim for claim in before if claim.verdict == REFUTED and claim.key in now]
         told = "; ".join(f"`{claim.key}` {claim.words_found} of {claim.n}" for claim in refuted)
-        if told or record.mended:
-            lines.append(
-                f"- {record.name}: {told or 'nothing'}.{f' Mended since: {record.mended}.' * bool(record.mended)}"
-            )
+        if told:
+            lines.append(f"- {record.name}: {told}.{f' Mended since: {record.mended}.' * bool(record.mended)}")
     return ["## Refuted by the record before", "", *lines, ""] if lines else []
 
 
