@@ -196,7 +196,7 @@ def fit_sizes(
     """
     limit = np.array([one.cause.largest_step for one in hypotheses])
     at = np.arange(len(hypotheses)) if is_free is None else np.flatnonzero(is_free)
-    sizes, before = np.array([one.size for one in hypotheses]), None
+    before: tuple[Floats, Floats] | None = None
     for _ in range(MAX_ROUNDS):
         beside = _fit_beside(station, baseline, hypotheses, noise)
         if beside is None or _has_run_away(station, beside, hypotheses):
@@ -220,12 +220,15 @@ def fit_sizes(
         step, sigma = np.zeros(len(hypotheses)), np.array([one.sigma for one in hypotheses])
         step[at] = np.clip(solve_symmetric(own, score[at, None])[:, 0], -limit[at], limit[at])
         sigma[at] = np.sqrt(np.diag(invert_symmetric(own)))
-        is_converged = bool(np.all(np.abs(step) < STANDS_STILL * sigma))
+        is_converged = bool(np.all(np.abs(step[at]) < STANDS_STILL * sigma[at]))
         fitted = [replace(one, sigma=float(s)) for one, s in zip(hypotheses, sigma, strict=True)]
         if is_converged:
             break
-        sizes, before = sizes + (step if before is None else _secant(sizes, step, sigma, *before)), (sizes, step)
-        hypotheses = [replace(one, size=float(size)) for one, size in zip(fitted, sizes, strict=True)]
+        sizes = np.array([one.size for one in hypotheses])
+        last = sizes[at], step[at]
+        moved = step[at] if before is None else _secant(*last, sigma[at], *before)
+        sizes[at] += np.clip(moved, -limit[at], limit[at])
+        before, hypotheses = last, [replace(one, size=float(size)) for one, size in zip(fitted, sizes, strict=True)]
     return FittedModel(fitted, baseline, linear, is_converged, noise), information
 
 
@@ -243,19 +246,19 @@ def _fit_beside(
         if noise is not None:
             baseline = replace(baseline, terms=with_noise(station, baseline.terms, noise))
         last, ratio = ratio, power_ratio(station, baseline.terms, hypotheses)
-        if np.linalg.norm(np.log(ratio / last)) < CHAIN_STANDS_STILL * np.linalg.norm(np.log(ratio)):
+        if np.linalg.norm(np.log(ratio / last)) <= CHAIN_STANDS_STILL * np.linalg.norm(np.log(ratio)):
             break
     return baseline
 
 
 def _secant(sizes: Floats, step: Floats, sigma: Floats, last_sizes: Floats, last_step: Floats) -> Floats:
-    """The step to where the steps end if they go on changing as they did; shape (hypothesis,) each.
+    """The step to where the steps end if they go on changing as they did; shape (free size,) each.
 
     The chain that is fitted beside the sizes answers each step, so that steps alone may swing for many rounds: Anderson
     (1965, J. ACM 12, 547) with one step remembered, of one size the method of secants.
     """
     change = step - last_step
-    share = float(np.sum(change * step / sigma**2) / max(np.sum((change / sigma) ** 2), SMALLEST_DIFFERENCE))
+    share = float(np.sum(change * step / sigma**2) / max(np.sum((change / sigma) ** 2), STANDS_STILL**2))
     return np.asarray(step - share * (sizes - last_sizes + change))
 
 

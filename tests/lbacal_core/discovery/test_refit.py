@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.causes.cause import Template
-from lbacal_core.discovery.refit import FOLDS, average_size, open_noise, refit
+from lbacal_core.discovery.refit import FOLDS, average_size, fit_sizes, open_noise, refit
 from lbacal_twin.faults.fault import Where
 from lbacal_twin.faults.hardware import AdcJitter, Compression, GainDrift, GainStep, LnaNoiseSlope
 from lbacal_twin.faults.sky import LstOffset, RfiBroadband
@@ -66,6 +66,21 @@ def test_a_size_is_the_same_wherever_its_fit_starts(cause, world):
     assert all(one is not None and one.is_converged for one in ends)
     one, other = (model.hypotheses[-1] for model in ends)
     assert one.size == pytest.approx(other.size, abs=0.05 * one.sigma)
+
+
+def test_a_size_that_is_given_stays_and_the_other_is_fitted(world):
+    """Its own error, which may be 0, has no part in the steps of the other."""
+    look = world.look(AdcJitter(size=0.1))
+    free, given = (look.fit(cause, look.template(cause)).effect for cause in ("adc_jitter", "lst_offset"))
+    given = replace(given, size=0.02, sigma=0.0)
+    levels, start = look.model.linear.residuals.levels, replace(free, size=0.7 * free.size)
+    is_free = np.array([True, False])
+    found = fit_sizes(look.data, look.model.baseline, [start, given], levels, None, is_free=is_free)
+    assert found is not None
+    model, _ = found
+    assert model.is_converged
+    assert model.hypotheses[1].size == 0.02
+    assert model.hypotheses[0].size == pytest.approx(free.size, abs=0.5 * free.sigma)
 
 
 @pytest.mark.long
