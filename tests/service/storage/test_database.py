@@ -368,6 +368,7 @@ def test_an_upgrade_under_load_waits_for_who_writes_and_stops_who_comes_after(fa
             else:
                 acknowledged[0] += 1
                 is_writing.set()
+                time.sleep(0.01)  # SQLite has no queue: who comes again at once may keep another waiting for 30 s
 
     writer = threading.Thread(target=write, daemon=True)
     writer.start()
