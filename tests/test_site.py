@@ -28,7 +28,7 @@ def test_notebooks_are_on_the_site_with_what_they_give(site: Path, repository: P
     assert len(notebooks) == 5
     for notebook in notebooks:
         page = (site / f"notebooks/{notebook.stem}.html").read_text(encoding="utf-8")
-        assert re.search(r'<img alt="png" src="[a-z-]+_\d+_0\.png"', page), f"{notebook.stem} draws nothing"
+        assert re.search(r'<img alt="png" src="[a-z-]+_\d+_\d+\.png"', page), f"{notebook.stem} draws nothing"
         assert "Traceback" not in page
         assert (site / f"notebooks/{notebook.stem}.ipynb").exists()
 
