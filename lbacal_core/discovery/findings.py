@@ -191,7 +191,7 @@ class StationSearch:
         return 1 if target.scope == STATION else len(self.targets)
 
     def _name(self, before: FittedModel, significant: Sequence[Score], scores: Sequence[Score]) -> list[Candidate]:
-        """The models with each of the best significant causes."""
+        """The models with each of the best significant causes that are likelier than chance by far as they fit."""
         if significant:
             self.again = _same_again(significant[0], before.hypotheses, self.adopted)
         if not significant or self.again is not None:
@@ -204,7 +204,7 @@ class StationSearch:
             # Scores are of one share of the noise: at the share that it prefers, a cause may gain more than these.
             others = [one for one in _rivals(scores, self.policy) if all(one is not tried for tried in rivals)]
             possible += self._fit_possible(before, others)
-        return sorted(possible, key=lambda one: -one.gain)
+        return sorted((one for one in possible if one.gain > 2.0 * self.policy.likelier), key=lambda one: -one.gain)
 
     def _fit_possible(self, before: FittedModel, scores: Sequence[Score]) -> list[Candidate]:
         """The models with each of some causes, where all sizes are physical."""

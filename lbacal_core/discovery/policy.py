@@ -33,7 +33,9 @@ class Policy:
     beside_share
         Factor on the probability of a false alarm of causes beside a structure: what it leaves of itself is no noise.
     likelier
-        ln of the odds by which a sentence must be likelier than the likeliest cause: 20 to 1.
+        ln of the odds by which a cause must be likelier than chance as it fits, and a sentence than the likeliest
+        cause: 20 to 1. Three gains along UTC that were named interference had 1.8 to 5.4 in chi^2, right names at ideal
+        SNR 4 to 8 have 7.1 and more (spent data sets).
     alike
         Correlation of the templates of a sentence and a cause above which they say the same: the cause is named unless
         the sentence fits better by more than `indistinguishable`. Three true interferences by hours had 0.95 and more,
