@@ -1,8 +1,8 @@
 """What moves: C in effect is right before, just after and far from a change, of a path or of its whole station.
 
-A service holds three years of a station of 4 or 8 antennas, simulated by the twin, in which something moves: a step,
-another cable, another antenna, a ramp, a season, a path that is dead for a year, or several of these at once; in one
-antenna (one dipole or both) or in all. Nights pass until nothing is due, then C is asked for as a pipeline does. What a
+A service holds three years of a station of 4 or 8 antennas, or of 24 or 48, simulated by the twin, in which something
+moves: a step, another cable, another antenna, a ramp, a season, a path that is dead for a year, or several of these at
+once; in one antenna (one dipole or both) or in all. Nights pass until nothing is due, then C is asked for as a pipeline does. What a
 whole station did at a date is in its log book: there is no other to compare it with. The sky is the simulation's, so
 that what is told must be right within its statistical error.
 """
@@ -49,6 +49,8 @@ from validation.running.postgres import open_databases
 from validation.twin import CHANNELS
 
 STATION, YEARS, EVENTS = "CS002", 3.0, 250
+SMALL, LARGE = (4, 8), (24, 48)
+"""Antennas of a station."""
 SINGLE = ("step", "cable", "antenna", "ramp", "season", "dead")
 KINDS, SLOW = (*SINGLE, "several"), ("ramp", "season")
 NEAR_S, FAR_S = 40 * DAY_S, 300 * DAY_S
@@ -157,10 +159,12 @@ class Moving:
         return [Scope(STATION, int(antenna), dipole), Scope(STATION, other, dipole)]
 
 
-def draw_moving(seed: int, factory: Factory, *, is_single: bool = False) -> tuple[str, str, int, Moving]:
+def draw_moving(
+    seed: int, factory: Factory, *, sizes: Sequence[int] = SMALL, is_single: bool = False
+) -> tuple[str, str, int, Moving]:
     """Kind, who moves (single antennas if only these may), the number of antennas, and the campaign."""
     rng = np.random.default_rng([34, seed])
-    kind, antennas = KINDS[seed % len(KINDS)], int(rng.choice([4, 8]))
+    kind, antennas = KINDS[seed % len(KINDS)], int(rng.choice(sizes))
     who = str(rng.choice(["path", "antenna", "station"], p=[0.4, 0.35, 0.25]))
     kinds = [kind] if kind != "several" else ["step", *rng.choice(["step", "cable", "ramp"], 2).tolist()]
     if (is_single or kind in ("dead", "several")) and who == "station":
@@ -177,10 +181,10 @@ def draw_moving(seed: int, factory: Factory, *, is_single: bool = False) -> tupl
     return kind, who, antennas, Moving(simulate(rng, moves), still, moves)
 
 
-def pass_years(seed: int) -> Row:
-    """C in effect of a campaign, against the truth."""
+def pass_years(seed: int, sizes: Sequence[int] = SMALL) -> Row:
+    """C in effect of a campaign of a station of so many antennas, against the truth."""
     with _begin() as service:
-        return _pass(service, seed)
+        return _pass(service, seed, sizes)
 
 
 def compare_means(seed: int) -> Row:
@@ -215,9 +219,9 @@ def _begin() -> Iterator[Service]:
             factory.database.close()
 
 
-def _pass(service: Service, seed: int) -> Row:
+def _pass(service: Service, seed: int, sizes: Sequence[int]) -> Row:
     factory = service.factory
-    kind, who, antennas, moving = draw_moving(seed, factory)
+    kind, who, antennas, moving = draw_moving(seed, factory, sizes=sizes)
     if who == "station":
         _enter(factory, moving.moves[0])
     nights = _pass_nights(service, moving.campaign)
@@ -353,5 +357,6 @@ def _still(rows: Sequence[Row]) -> list[Found]:
 
 PARTS = (
     Part("small", pass_years, judge, 360, by("kind"), ("moved_after",)),
+    Part("large", partial(pass_years, sizes=LARGE), judge, 40, by("kind")),
     Part("mean", compare_means, judge_means, 120, by("kind")),
 )

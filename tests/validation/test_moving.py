@@ -41,7 +41,7 @@ def test_the_judgement_counts_what_was_not_right(row: Row) -> None:
     found: dict[str, Found] = {one.key: one for one in judge([row, wrong, single, elsewhere])}
     assert found["moved_after"].found == pytest.approx(3 / 4)
     assert (found["unplanted"].found, found["other_kind"].found) == (1 / 4, 1 / 4)
-    assert found.keys() == set(asked_of("moving", "small"))
+    assert found.keys() == set(asked_of("moving", "small")) == set(asked_of("moving", "large"))
 
 
 def test_an_antenna_that_is_dead_for_a_year_does_not_move_the_mean_of_its_station() -> None:
