@@ -2,9 +2,9 @@
 
 A service holds three years of a station of 4 or 8 antennas, or of 24 or 48, simulated by the twin, in which something
 moves: a step, another cable, another antenna, a ramp, a season, a path that is dead for a year, or several of these at
-once; in one antenna (one dipole or both) or in all. Nights pass until nothing is due, then C is asked for as a pipeline does. What a
-whole station did at a date is in its log book: there is no other to compare it with. The sky is the simulation's, so
-that what is told must be right within its statistical error.
+once; in one antenna (one dipole or both) or in all. Nights pass until nothing is due, then C is asked for as a pipeline
+does. What a whole station did at a date is in its log book: there is no other to compare it with. The sky is the
+simulation's, so that what is told must be right within its statistical error.
 """
 
 from __future__ import annotations
