@@ -136,6 +136,13 @@ ONE_SIGMA, IN_MOST = 0.683, 0.15
 """Quantile of a normal amount at one standard deviation, and the part of an excess variance that most events show."""
 TYPICAL_EVENTS = 100
 """Spectra for which the typical covariance of a path counts in that of a cable name: 14 % of a variance."""
+NEAR_S, FAR_S = 3 * 86400.0, 12 * 86400.0
+"""Time between neighbours, whose gains may be alike, and between events which only a slow effect makes alike."""
+FEWEST_PAIRS, LARGEST, REMEMBERED = 100, 3.0, 3.0
+"""Pairs of events from which gains are compared, the standard deviations at which an amount is cut, and those beyond
+which gains that are alike have memory."""
+MEDIAN = np.pi / 2.0
+"""Variance of a median over that of a mean."""
 GAINS_PRIOR = 1e-4
 """Where nothing is added behind, gains in front and behind are one."""
 
@@ -200,6 +207,8 @@ class NoiseLevels:
     common_sum, common_difference
         Covariance along the vectors that they share beyond that: of the sum of all n polarisations over root n, and of
         each of the n - 1 normalised differences, which is (X - Y) over root 2 where there are two; shape (kind, k, k).
+    path_memory, sum_memory, difference_memory
+        What neighbouring events add to the covariance of each (`find_memory_of_gains`), shape (k, k).
     """
 
     vectors: Floats
@@ -211,11 +220,20 @@ class NoiseLevels:
     common_channel: Floats
     common_sum: Floats
     common_difference: Floats
+    path_memory: Floats
+    sum_memory: Floats
+    difference_memory: Floats
 
     @property
     def mean_path_shared(self) -> Floats:
         """Covariance along the vectors of the mean path, shape (kind, k, k)."""
         return np.asarray(np.einsum("c,sckj->skj", self.class_share, self.path_shared))
+
+    @property
+    def of_channels(self) -> NoiseLevels:
+        """The same without what an event shares along frequency."""
+        shared = "path_shared", "common_sum", "common_difference", "path_memory", "sum_memory", "difference_memory"
+        return replace(self, **{name: np.zeros_like(getattr(self, name)) for name in shared})
 
     def of_all(self, covariance: Floats) -> Floats:
         """Mean of the covariances of the kinds over all events, (kind, k, k) -> (k, k)."""
@@ -277,6 +295,7 @@ def estimate_levels(
     outside = max(channels - int(np.sum(np.any(vectors != 0, axis=1))), 1)
     used = events / free_events
     along = mean @ vectors.T
+    path_memory = np.zeros((len(vectors), len(vectors)))
     of_mean = np.mean((mean - along @ vectors) ** 2, axis=(1, 2)) * channels / outside * used
     if len(deviation) == polarisations:
         # A single path has no other to be compared with: all noise counts as its own.
@@ -316,10 +335,50 @@ def estimate_levels(
         rest = (left @ vectors.T)[station.class_of] * np.any(deviation != 0.0, axis=-1)[..., None]
         amount = kinds.beside_rain(station.without_axes(deviation @ vectors.T - rest, is_ordinary))
         shared = _path_levels(station, amount, kinds, members, used, own_channel)
-    levels = NoiseLevels(
-        vectors, kinds.of_event, own_channel, shared, class_share, members.scale, common_channel, of_sum, of_difference
-    )
-    return levels, left
+        path_memory = find_memory_of_gains(station, amount[members.in_mean])
+    memory = path_memory, find_memory_of_gains(station, total[None]), find_memory_of_gains(station, differences)
+    common = common_channel, of_sum, of_difference
+    return NoiseLevels(vectors, kinds.of_event, own_channel, shared, class_share, members.scale, *common, *memory), left
+
+
+def find_memory_of_gains(station: Station, amount: Floats) -> Floats:
+    """What neighbouring events add to the covariance of what varies slowly, in units of the whole, shape (k, k).
+
+    Gains that last for hours or a day are alike in neighbours, and a mean over months is less certain than that of
+    independent events. What lasts for months is an effect: it is alike in events further apart as well, which is taken
+    off. The median over the paths counts, and nothing that chance explains.
+
+    Parameters
+    ----------
+    amount
+        Amounts of the vectors without what follows an axis of the data, shape (path, event, k); 0 where absent.
+    """
+    paths, _, size = amount.shape
+    order = np.argsort(station.conditions.time_unix)
+    time, after = station.conditions.time_unix[order], np.arange(1, order.size + 1)
+    near, far = (np.searchsorted(time, time + within) for within in (NEAR_S, FAR_S))
+    pairs, others = int(np.sum(near - after)), int(np.sum(far - near))
+    if not station.conditions.has_dates or min(pairs, others) < FEWEST_PAIRS:
+        return np.zeros((size, size))
+    events = np.maximum(np.sum(np.any(amount != 0.0, axis=-1), axis=1), 1)[:, None, None]
+    values, turned = np.linalg.eigh(np.einsum("pek,pej->pkj", amount, amount) / events)
+    root = (turned * np.maximum(values, SMALLEST_LEVEL**2)[:, None] ** -0.5) @ np.swapaxes(turned, 1, 2)
+    white = np.clip(amount[:, order] @ root, -LARGEST, LARGEST)
+    summed = np.concatenate([np.zeros((paths, 1, size)), np.cumsum(white, axis=1)], axis=1)
+    beside = summed[:, near] - summed[:, after] - pairs / others * (summed[:, far] - summed[:, near])
+    alike = np.median(np.einsum("pek,pej->pkj", white, beside) / events, axis=0)
+    of_chance = 2.0 * (pairs * (1.0 + pairs / others)) ** 0.5 / order.size * min(MEDIAN / paths, 1.0) ** 0.5
+    values, turned = np.linalg.eigh(alike + alike.T)
+    return np.asarray((turned * np.where(values > REMEMBERED * of_chance, values, 0.0)) @ turned.T)
+
+
+def remember(covariance: Floats, memory: Floats) -> Floats:
+    """The covariance of what varies slowly, by that of independent events, shape (..., k, k)."""
+    if not np.any(memory):
+        return covariance
+    values, turned = np.linalg.eigh(covariance)
+    root = (turned * np.sqrt(np.maximum(values, 0.0))[..., None, :]) @ np.swapaxes(turned, -1, -2)
+    return np.asarray(covariance + root @ memory @ root)
 
 
 def _path_levels(

@@ -289,9 +289,7 @@ def list_hidden(
 
 def shares_taken(model: LinearModel, causes: Sequence[Cause], target: Target) -> dict[str, float]:
     """Share of the information on each cause of the station that the vectors of the noise take."""
-    levels = model.residuals.levels
-    nothing, of_paths = np.zeros_like(levels.common_sum), np.zeros_like(levels.path_shared)
-    plain = model.with_levels(replace(levels, path_shared=of_paths, common_sum=nothing, common_difference=nothing))
+    plain = model.with_levels(model.residuals.levels.of_channels)
     taken = {}
     for cause in causes:
         families = list_families(model.station.conditions, [cause]) if "station" in cause.scopes else []

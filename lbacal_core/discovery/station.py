@@ -14,6 +14,7 @@ from lbacal_core.calibration.singles import MIN_EVENTS
 from lbacal_core.causes.axes import list_axes
 from lbacal_core.causes.cause import Conditions
 from lbacal_core.causes.sky import SkyRatio, sky_ratios
+from lbacal_core.data.tables import read_prior
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.sidereal import local_sidereal_time, sun_position
@@ -261,7 +262,8 @@ class SkyModes:
     ----------
     common, own
         Differences between models, shape (mode, class, event, freq): those that both polarisations share, the level at
-        each frequency and an isotropic brightness; and those of each polarisation by itself, the shape along LST.
+        each frequency, an isotropic brightness and what surveys of other frequencies have of the contrast; and those of
+        each polarisation by itself, the shape along LST.
     waves
         Smooth waves along LST that no model need have, in both polarisations together and in each by itself.
     prior
@@ -282,8 +284,12 @@ def model_modes(station: Station, differences: ModelDifferences) -> SkyModes:
     brighter = np.stack([read_at(differences.isotropic[letter], lst) for letter in dipoles])
     isotropic = brighter * differences.smooth_spectra()[:, None, None]
     level = differences.level_modes()[:, None, None]
+    # Published skies have edges at the frequencies of their surveys, which are no lines of interference.
+    survey, log_sky = read_prior()["survey_contrast"], np.log(station.sky)
+    edges = [np.interp(conditions.frequency_mhz, survey.at_mhz, own, 0.0, 0.0) for own in np.diag(survey.sizes)]
+    contrast = (log_sky - log_sky.mean(axis=1, keepdims=True)) * np.stack(edges)[:, None, None]
     return SkyModes(
-        common=np.concatenate([np.broadcast_to(level, (len(level), *brighter.shape)), isotropic]),
+        common=np.concatenate([np.broadcast_to(level, (len(level), *brighter.shape)), isotropic, contrast]),
         own=_stack_modes([differences.changes_at(letter, lst) for letter in dipoles]),
         waves=waves_at(conditions.frequency_mhz, lst, is_search=True),
     )

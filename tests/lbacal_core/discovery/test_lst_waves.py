@@ -58,12 +58,24 @@ def test_fits_and_an_investigation_say_the_same_of_gains_along_lst(simulation, s
     assert judge(lst_waves.with_gain(clean, simulation, size, harmonic, slopes=slopes), simulation) == expected
 
 
+def with_wave(sky, power):
+    """A sky with a wave along LST that is within the prior of search and fit."""
+    return power * (1.0 + 0.02 * np.cos(2.0 * np.pi / 24.0 * sky.lst_hours)[:, None])
+
+
+def with_edge(sky, power):
+    """A sky whose contrast at 40 MHz is that of a survey which is 15 % from those beside it."""
+    log_power = np.log(power)
+    mean, edge = log_power.mean(axis=0), np.interp(sky.frequency_mhz, [22.0, 40.0, 50.0], [0.0, 1.0, 0.0])
+    return np.exp(mean + (log_power - mean) * (1.0 - 0.15 * edge))
+
+
 @pytest.mark.long
-def test_a_wave_of_the_sky_within_its_prior_is_none_of_the_gains(simulation):
-    wave = 1.0 + 0.02 * np.cos(2.0 * np.pi / 24.0 * simulation.sky_power.lst_hours)[:, None]
-    sky = replace(
-        simulation.sky_power, power={letter: one * wave for letter, one in simulation.sky_power.power.items()}
-    )
+@pytest.mark.parametrize("other", [with_wave, with_edge])
+def test_another_sky_within_its_prior_is_none_of_the_gains(simulation, other):
+    """Edges at the surveys of published skies were structure along LST, or a line of interference without end."""
+    own = simulation.sky_power
+    sky = replace(own, power={letter: other(own, one) for letter, one in own.power.items()})
     settings = TwinSettings(stations=(lst_waves.STATION,), antennas=8, events_per_year=600)
     spectra = simulate_campaign(settings, simulation.instrument, sky, np.random.default_rng(3)).spectra
     assert judge(spectra, simulation) == CONSISTENT

@@ -14,8 +14,10 @@ from lbacal_core.discovery.noise import (
     _choose_vectors,
     _scatter,
     beyond_noise,
+    find_memory_of_gains,
     is_heavy,
     list_kinds,
+    remember,
     split_residuals,
 )
 from lbacal_core.discovery.project import LARGEST, EventGains
@@ -256,7 +258,20 @@ def test_what_follows_rain_is_as_rare_as_noise_known_from_a_few_wet_events_makes
     vectors = np.eye(51)[:3]
     kind_of = (np.arange(700) < wet).astype(np.int64)
     nothing = np.zeros((2, 3, 3))
-    levels = NoiseLevels(vectors, kind_of, 1.0, nothing[:, None], np.ones(1), np.ones(1), np.zeros(2), nothing, nothing)
+    levels = NoiseLevels(
+        vectors,
+        kind_of,
+        1.0,
+        nothing[:, None],
+        np.ones(1),
+        np.ones(1),
+        np.zeros(2),
+        nothing,
+        nothing,
+        *nothing[:1],
+        *nothing[:1],
+        *nothing[:1],
+    )
     draws = 100_000
     gain = rng.chisquare(6, draws)
     for _ in range(2):  # means of three amounts of each polarisation, over their scatter in as many events
@@ -356,3 +371,43 @@ def test_beyond_the_band_the_slopes_of_its_ends_continue(station, terms):
     gains = EventGains.of(station, terms)
     far = np.log1p(gains.lower_by(np.array([3.0, 6.0])))[:, -1]
     np.testing.assert_allclose(far, gains.slope[-1] * np.array([3.0, 6.0]))
+
+
+def drawn_gains(station, hours, paths=12, size=2, seed=7):
+    """Amounts of gains that keep their sign for some hours, shape (path, event, k), and the times of the events, s."""
+    rng = np.random.default_rng(seed)
+    time = np.sort(rng.uniform(0.0, 365.25 * 86400.0, 500))
+    keep = np.exp(-np.diff(time, prepend=time[0]) / (3600.0 * hours)) if hours else np.zeros(time.size)
+    amount = rng.standard_normal((paths, time.size, size))
+    for k in range(1, time.size):
+        amount[:, k] = keep[k] * amount[:, k - 1] + np.sqrt(1.0 - keep[k] ** 2) * amount[:, k]
+    conditions = replace(station.conditions, time_unix=time)
+    return (
+        replace(station, conditions=conditions),
+        amount,
+        np.exp(-np.abs(time[:, None] - time) / (3600.0 * (hours or 1))),
+    )
+
+
+@pytest.mark.parametrize("hours", [12.0, 24.0])
+def test_gains_that_last_for_hours_add_to_the_variance_of_a_mean_over_months(station, hours):
+    """Gains of 12 h were called a step, or a drift, of one path in 3 of 8 years without any."""
+    placed, amount, alike = drawn_gains(station, hours)
+    step = np.arange(amount.shape[1]) < 250
+    true = float(step @ alike @ step) / step.sum() - 1.0
+    found = find_memory_of_gains(placed, amount)
+    np.testing.assert_allclose(np.diag(found), true, rtol=0.25)
+    of_one = find_memory_of_gains(placed, amount[:1])
+    np.testing.assert_allclose(np.diag(of_one), true, atol=1.0)
+    covariance = np.array([[4.0, 1.0], [1.0, 2.0]])
+    np.testing.assert_allclose(remember(covariance, np.eye(2)), 2.0 * covariance)
+
+
+def test_what_lasts_for_months_is_an_effect_and_no_memory(station):
+    placed, amount, _ = drawn_gains(station, 0.0)
+    season = np.cos(2.0 * np.pi * placed.conditions.time_unix / (365.25 * 86400.0))[:, None]
+    one_path = amount + 3.0 * (np.arange(12) == 3)[:, None, None]
+    for independent in (amount, one_path, amount + season, amount * (np.arange(500) % 7 > 0)[:, None]):
+        assert not np.any(find_memory_of_gains(placed, independent))
+    undated = replace(placed, conditions=replace(placed.conditions, time_unix=np.full(500, np.nan)))
+    assert not np.any(find_memory_of_gains(undated, amount))
