@@ -1,10 +1,11 @@
-"""A second world, written from the paper alone: sizes and C hold wherever the noise of the LNA enters.
+"""A second world, written from the paper alone: sizes, C and silence hold wherever the noise of the LNA enters.
 
 `outside/world.py` beside the project makes a station-year without a line of this one: its own sum over pixels of a
 sky, a resonance circuit for G_ant, an A(nu) of its own, and the LNA's noise in front of the resonance, as published, or
 behind it. To be found: a daytime ionosphere of tau = 0.03 at 30 MHz under the LFSM, 10 % brighter than the table. With
-nothing to be found C has to bear what is drawn: sky, level, tilt, beam, ground, memory of the gains. What is believed
-is the default: the GSM of the package, free as models differ, and the form of the chain that data prefer.
+nothing to be found C has to bear what is drawn, and an investigation has to give no name: sky, level, tilt, beam,
+ground, memory of the gains. What is believed is the default: the GSM of the package, free as models differ, and the
+form of the chain that data prefer.
 """
 
 from __future__ import annotations
@@ -21,21 +22,22 @@ from typing import Any
 import numpy as np
 
 from lbacal_core.calibration.chain_form import compare_forms
-from lbacal_core.discovery.report import investigate
+from lbacal_core.discovery.report import CONSISTENT, investigate
 from lbacal_core.instrument.chain import BEHIND, PUBLISHED
 from lbacal_core.pipeline import calibrate
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.spectra import Spectra, read_spectra
 from validation.machinery.claims import Found, mean_of, rate_of
 from validation.machinery.parts import SHARED, Part, Row
+from validation.machinery.tables import by
 from validation.own_cable import total_error
 
 WORLD = SHARED / "outside" / "world.py"
 FIRST_SEED = 1000
 """Seeds of the second world below have been looked at."""
 CAUSE, TAU, LEVEL = "ionospheric_absorption", 0.03, 1.1
-COVERED_SEED = 10_000
-"""The year with nothing to be found has seeds of its own."""
+COVERED_SEED, QUIET_SEED = 10_000, 100_000
+"""The years with nothing to be found have seeds of their own."""
 FAR = 2.0
 """Standard deviations."""
 FREQUENCIES_MHZ = (35.0, 55.0, 75.0)
@@ -81,10 +83,10 @@ def look(seed: int, enters: str) -> Row:
     }
 
 
-def cover(seed: int) -> Row:
-    """A station-year under conditions that are drawn, with nothing to be found: the pulls of C of all paths."""
+def draw_conditions(seed: int) -> dict[str, Any]:
+    """Conditions of a station-year with nothing to be found."""
     rng = np.random.default_rng([33, seed])
-    drawn = {
+    return {
         "sky": str(rng.choice(["lfsm-5.1deg", "gsm-408locked"])),
         "narrow": float(rng.choice([0.0, 0.05, 0.1])),
         "level": round(rng.uniform(0.9, 1.1), 4),
@@ -93,7 +95,26 @@ def cover(seed: int) -> Row:
         "noise_enters": str(rng.choice(list(FORMS))),
         "memory_h": round(rng.uniform(0.0, 24.0), 2),
     }
+
+
+def cover(seed: int) -> Row:
+    """A station-year under conditions that are drawn, with nothing to be found: the pulls of C of all paths."""
+    drawn = draw_conditions(seed)
     return {**drawn, "pulls_of_c": pull_of_c(*make(COVERED_SEED + seed, **drawn))}
+
+
+def listen(seed: int, **size: int) -> Row:
+    """Investigate a station-year under conditions that are drawn, with nothing to be found."""
+    drawn = draw_conditions(QUIET_SEED + seed)
+    report, _ = investigate(*make(QUIET_SEED + seed, **drawn, **size)[:2])
+    left = report["unexplained"]
+    named = [one["cause"] for one in report["findings"]]
+    return {**drawn, "verdict": report["verdict"], "named": named, "axis": left and left["where"]["axis"]}
+
+
+def judge_quiet(rows: Sequence[Row]) -> list[Found]:
+    said = [row for row in rows if row["verdict"] != CONSISTENT]
+    return [rate_of("named", sum(bool(row["named"]) for row in rows), len(rows)), rate_of("said", len(said), len(rows))]
 
 
 def judge_cover(rows: Sequence[Row]) -> list[Found]:
@@ -123,4 +144,5 @@ PARTS = (
         for name, shown in (("front", ()), ("behind", ("size",)))
     ),
     Part("cover", cover, judge_cover, 400, needs_shared=True),
+    Part("quiet", listen, judge_quiet, 800, by("sky", "noise_enters"), needs_shared=True),
 )
