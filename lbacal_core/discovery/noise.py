@@ -16,6 +16,7 @@ from scipy.special import bdtrc, chdtr, chdtrc, chdtri, fdtrc
 
 from lbacal_core.calibration.lines import CHANNELS_PER_VECTOR, MOST_VECTORS, orthonormal
 from lbacal_core.causes.cause import RAIN
+from lbacal_core.discovery.neighbours import FEWEST_PAIRS, Neighbours
 from lbacal_core.discovery.station import Station
 from lbacal_core.grids import Floats
 from lbacal_core.linear import fit_least_squares, invert_symmetric, solve_symmetric
@@ -138,9 +139,8 @@ TYPICAL_EVENTS = 100
 """Spectra for which the typical covariance of a path counts in that of a cable name: 14 % of a variance."""
 NEAR_S, FAR_S = 3 * 86400.0, 12 * 86400.0
 """Time between neighbours, whose gains may be alike, and between events which only a slow effect makes alike."""
-FEWEST_PAIRS, LARGEST, REMEMBERED = 100, 3.0, 3.0
-"""Pairs of events from which gains are compared, the standard deviations at which an amount is cut, and those beyond
-which gains that are alike have memory."""
+LARGEST, REMEMBERED = 3.0, 3.0
+"""Standard deviations at which an amount is cut, and those beyond which gains that are alike have memory."""
 MEDIAN = np.pi / 2.0
 """Variance of a median over that of a mean."""
 GAINS_PRIOR = 1e-4
@@ -353,22 +353,21 @@ def find_memory_of_gains(station: Station, amount: Floats) -> Floats:
     amount
         Amounts of the vectors without what follows an axis of the data, shape (path, event, k); 0 where absent.
     """
-    paths, _, size = amount.shape
+    paths, count, size = amount.shape
     order = np.argsort(station.conditions.time_unix)
-    time, after = station.conditions.time_unix[order], np.arange(1, order.size + 1)
-    near, far = (np.searchsorted(time, time + within) for within in (NEAR_S, FAR_S))
-    pairs, others = int(np.sum(near - after)), int(np.sum(far - near))
-    if not station.conditions.has_dates or min(pairs, others) < FEWEST_PAIRS:
+    near, wide = (Neighbours.of(station.conditions.time_unix[order], within) for within in (NEAR_S, FAR_S))
+    if not station.conditions.has_dates or min(near.pairs, wide.pairs - near.pairs) < FEWEST_PAIRS:
         return np.zeros((size, size))
+    share = near.pairs / (wide.pairs - near.pairs)
     events = np.maximum(np.sum(np.any(amount != 0.0, axis=-1), axis=1), 1)[:, None, None]
     values, turned = np.linalg.eigh(np.einsum("pek,pej->pkj", amount, amount) / events)
     root = (turned * np.maximum(values, SMALLEST_LEVEL**2)[:, None] ** -0.5) @ np.swapaxes(turned, 1, 2)
-    white = np.clip(amount[:, order] @ root, -LARGEST, LARGEST)
-    summed = np.concatenate([np.zeros((paths, 1, size)), np.cumsum(white, axis=1)], axis=1)
-    beside = summed[:, near] - summed[:, after] - pairs / others * (summed[:, far] - summed[:, near])
-    alike = np.median(np.einsum("pek,pej->pkj", white, beside) / events, axis=0)
-    of_chance = 2.0 * (pairs * (1.0 + pairs / others)) ** 0.5 / order.size * min(MEDIAN / paths, 1.0) ** 0.5
-    values, turned = np.linalg.eigh(alike + alike.T)
+    white = np.clip(np.moveaxis(amount[:, order] @ root, 0, 1), -LARGEST, LARGEST)
+    of_near, of_wide = (one.next_to(white.reshape(count, -1)).reshape(white.shape) for one in (near, wide))
+    beside = (1.0 + share) * of_near - share * of_wide
+    alike = 2.0 * np.median(np.einsum("epk,epj->pkj", white, beside) / events, axis=0)
+    of_chance = 2.0 * (near.pairs * (1.0 + share)) ** 0.5 / count * min(MEDIAN / paths, 1.0) ** 0.5
+    values, turned = np.linalg.eigh(alike)
     return np.asarray((turned * np.where(values > REMEMBERED * of_chance, values, 0.0)) @ turned.T)
 
 

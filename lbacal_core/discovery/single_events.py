@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial.hermite_e import hermeval
-from numpy.typing import NDArray
 from scipy.special import bdtrc, chdtrc, gammaln
 
 from lbacal_core.discovery.hypothesis import p_of_best
+from lbacal_core.discovery.neighbours import FEWEST_PAIRS, Neighbours
 from lbacal_core.discovery.noise import LINE, clean_mean, is_heavy
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.station import Station
@@ -25,8 +25,6 @@ from lbacal_core.linear import invert_symmetric
 
 WITHIN_S = 3 * 3600.0
 """Time between events that count as neighbours: bursts of Jupiter and thunderstorms last for hours."""
-FEWEST_PAIRS = 100
-"""Pairs of neighbours from which their products are normal: events that come in runs have 500 of 900 events."""
 LARGEST = 4.0
 """Standard deviations at which amounts are cut, so that no event decides alone."""
 OWN_SHARE = 0.3
@@ -51,53 +49,6 @@ class Memory:
     spectrum: Floats
 
 
-@dataclass(frozen=True)
-class _Neighbours:
-    """Neighbours among events in the order of time, as a matrix P that is 1/2 for two of them and 0 elsewhere.
-
-    Attributes
-    ----------
-    first, last
-        The first neighbour of an event and the one behind the last, shape (event,).
-    """
-
-    first: NDArray[np.int64]
-    last: NDArray[np.int64]
-
-    @classmethod
-    def of(cls, time: Floats) -> _Neighbours:
-        """Events less than `WITHIN_S` apart."""
-        return cls(np.searchsorted(time, time - WITHIN_S, side="right"), np.searchsorted(time, time + WITHIN_S))
-
-    @property
-    def pairs(self) -> int:
-        """Number of pairs."""
-        return int(np.sum(self.last - self.first - 1)) // 2
-
-    def next_to(self, values: Floats) -> Floats:
-        """P times values, shape (event, any)."""
-        summed = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
-        return np.asarray((summed[self.last] - summed[self.first] - values) / 2.0)
-
-    def cumulants(self, profiles: Floats) -> tuple[float, float, float]:
-        """Mean, variance and skewness of x'MPMx for normal numbers x, where M takes orthonormal profiles out.
-
-        They are tr Q, 2 tr Q^2 and 8 tr Q^3 / (2 tr Q^2)^1.5 of Q = MPM (Mathai & Provost 1992, Quadratic Forms in
-        Random Variables, 3.2b). The size of x is estimated from the n numbers that are free, which takes
-        (tr Q)^2 / n from tr Q^2.
-        """
-        near = self.next_to(profiles)
-        inside, squared = profiles.T @ near, near.T @ near
-        ahead = self.last - np.arange(self.last.size) - 1
-        triples = float(np.sum(ahead * (ahead - 1))) / 2.0
-        mean = -float(np.trace(inside))
-        square = self.pairs / 2.0 - 2.0 * float(np.trace(squared)) + float(np.sum(inside**2))
-        cube = 0.75 * triples - 3.0 * float(np.sum(near * self.next_to(near)))
-        cube += 3.0 * float(np.sum(inside * squared)) - float(np.sum((inside @ inside) * inside))
-        variance = 2.0 * (square - mean**2 / (self.last.size - profiles.shape[1]))
-        return mean, variance, 8.0 * cube / variance**1.5
-
-
 def find_memory(station: Station, white: Floats, vectors: Floats, smooth: Floats) -> Memory | None:
     """Compare events with their neighbours, along the vectors of the noise and along smooth functions of frequency.
 
@@ -119,7 +70,7 @@ def find_memory(station: Station, white: Floats, vectors: Floats, smooth: Floats
     None where too few events have neighbours.
     """
     order = np.argsort(station.conditions.time_unix)
-    neighbours = _Neighbours.of(station.conditions.time_unix[order])
+    neighbours = Neighbours.of(station.conditions.time_unix[order], WITHIN_S)
     if not station.conditions.has_dates or neighbours.pairs < FEWEST_PAIRS:
         return None
     _, sizes, beside = np.linalg.svd(smooth - smooth @ vectors.T @ vectors, full_matrices=False)

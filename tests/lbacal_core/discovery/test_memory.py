@@ -3,7 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.discovery.single_events import FEWEST_PAIRS, WITHIN_S, _Neighbours, chance_of, find_memory
+from lbacal_core.discovery.neighbours import FEWEST_PAIRS, Neighbours
+from lbacal_core.discovery.single_events import WITHIN_S, chance_of, find_memory
 
 CHANNELS = 51
 FLAT = np.full((1, CHANNELS), CHANNELS**-0.5)
@@ -56,14 +57,14 @@ def test_cumulants_of_neighbours_are_those_of_the_whole_matrix(in_runs):
     pairs = (np.abs(time[:, None] - time) < WITHIN_S) / 2.0 - np.eye(time.size) / 2.0
     rest = np.eye(time.size) - profiles @ profiles.T
     whole = rest @ pairs @ rest
-    mean, variance, skewness = _Neighbours.of(time).cumulants(profiles)
+    mean, variance, skewness = Neighbours.of(time, WITHIN_S).cumulants(profiles)
     assert mean == pytest.approx(np.trace(whole))
     assert variance == pytest.approx(2.0 * (np.sum(whole**2) - np.trace(whole) ** 2 / np.trace(rest)))
     assert skewness == pytest.approx(8.0 * np.trace(whole @ whole @ whole) / variance**1.5)
     amounts = np.random.default_rng(8).standard_normal((time.size, 2000))
     amounts -= profiles @ (profiles.T @ amounts)
     amounts *= np.sqrt(np.trace(rest) / np.sum(amounts**2, axis=0))
-    drawn = np.sum(amounts * _Neighbours.of(time).next_to(amounts), axis=0)
+    drawn = np.sum(amounts * Neighbours.of(time, WITHIN_S).next_to(amounts), axis=0)
     # 2,000 draws know the mean to 0.02 standard deviations and these to 1.6 %.
     assert np.mean(drawn) == pytest.approx(mean, abs=0.1 * variance**0.5)
     assert np.std(drawn) == pytest.approx(variance**0.5, rel=0.08)
