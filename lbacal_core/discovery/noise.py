@@ -137,8 +137,8 @@ ONE_SIGMA, IN_MOST = 0.683, 0.15
 """Quantile of a normal amount at one standard deviation, and the part of an excess variance that most events show."""
 TYPICAL_EVENTS = 100
 """Spectra for which the typical covariance of a path counts in that of a cable name: 14 % of a variance."""
-NEAR_S, FAR_S = 3 * 86400.0, 12 * 86400.0
-"""Time between neighbours, whose gains may be alike, and between events which only a slow effect makes alike."""
+WITHIN_S = 0.5 * 86400.0, 3 * 86400.0, 12 * 86400.0
+"""Time between neighbours, whose gains may be alike for hours or days; beyond, only a slow effect makes them so."""
 LARGEST, REMEMBERED = 3.0, 3.0
 """Standard deviations at which an amount is cut, and those beyond which gains that are alike have memory."""
 MEDIAN = np.pi / 2.0
@@ -333,9 +333,10 @@ def estimate_levels(
         gains = np.matmul(told[:, None], solve_symmetric(of_sum + noise, of_sum)[kinds.of_event])[:, 0] @ vectors
         left = _left_in_classes(station, gains, seeds, members)
         rest = (left @ vectors.T)[station.class_of] * np.any(deviation != 0.0, axis=-1)[..., None]
-        amount = kinds.beside_rain(station.without_axes(deviation @ vectors.T - rest, is_ordinary))
-        shared = _path_levels(station, amount, kinds, members, used, own_channel)
+        amount = deviation @ vectors.T - rest
         path_memory = find_memory_of_gains(station, amount[members.in_mean])
+        amount = kinds.beside_rain(station.without_axes(amount, is_ordinary))
+        shared = _path_levels(station, amount, kinds, members, used, own_channel)
     memory = path_memory, find_memory_of_gains(station, total[None]), find_memory_of_gains(station, differences)
     common = common_channel, of_sum, of_difference
     return NoiseLevels(vectors, kinds.of_event, own_channel, shared, class_share, members.scale, *common, *memory), left
@@ -346,29 +347,32 @@ def find_memory_of_gains(station: Station, amount: Floats) -> Floats:
 
     Gains that last for hours or a day are alike in neighbours, and a mean over months is less certain than that of
     independent events. What lasts for months is an effect: it is alike in events further apart as well, which is taken
-    off. The median over the paths counts, and nothing that chance explains.
+    off. The median over the paths counts, and nothing that chance explains; of a single series hours are known better.
 
     Parameters
     ----------
     amount
-        Amounts of the vectors without what follows an axis of the data, shape (path, event, k); 0 where absent.
+        Amounts of the vectors, shape (path, event, k); 0 where absent.
     """
     paths, count, size = amount.shape
     order = np.argsort(station.conditions.time_unix)
-    near, wide = (Neighbours.of(station.conditions.time_unix[order], within) for within in (NEAR_S, FAR_S))
-    if not station.conditions.has_dates or min(near.pairs, wide.pairs - near.pairs) < FEWEST_PAIRS:
+    hours, days, weeks = every = [Neighbours.of(station.conditions.time_unix[order], within) for within in WITHIN_S]
+    apart = weeks.pairs - days.pairs
+    if not station.conditions.has_dates or min(days.pairs, apart) < FEWEST_PAIRS:
         return np.zeros((size, size))
-    share = near.pairs / (wide.pairs - near.pairs)
     events = np.maximum(np.sum(np.any(amount != 0.0, axis=-1), axis=1), 1)[:, None, None]
     values, turned = np.linalg.eigh(np.einsum("pek,pej->pkj", amount, amount) / events)
     root = (turned * np.maximum(values, SMALLEST_LEVEL**2)[:, None] ** -0.5) @ np.swapaxes(turned, 1, 2)
     white = np.clip(np.moveaxis(amount[:, order] @ root, 0, 1), -LARGEST, LARGEST)
-    of_near, of_wide = (one.next_to(white.reshape(count, -1)).reshape(white.shape) for one in (near, wide))
-    beside = (1.0 + share) * of_near - share * of_wide
-    alike = 2.0 * np.median(np.einsum("epk,epj->pkj", white, beside) / events, axis=0)
-    of_chance = 2.0 * (near.pairs * (1.0 + share)) ** 0.5 / count * min(MEDIAN / paths, 1.0) ** 0.5
-    values, turned = np.linalg.eigh(alike)
-    return np.asarray((turned * np.where(values > REMEMBERED * of_chance, values, 0.0)) @ turned.T)
+    of_hours, of_days, of_weeks = (one.next_to(white.reshape(count, -1)) for one in every)
+    found = []
+    for one, beside in ((days, of_days), (hours, of_hours))[: 1 + (hours.pairs >= FEWEST_PAIRS)]:
+        left = (beside - one.pairs / apart * (of_weeks - of_days)).reshape(white.shape)
+        alike = 2.0 * np.median(np.einsum("epk,epj->pkj", white, left) / events, axis=0)
+        of_chance = 2.0 * (one.pairs * (1.0 + one.pairs / apart) * min(MEDIAN / paths, 1.0)) ** 0.5 / count
+        values, turned = np.linalg.eigh(alike)
+        found.append(np.asarray((turned * np.where(values > REMEMBERED * of_chance, values, 0.0)) @ turned.T))
+    return max(found, key=np.trace)
 
 
 def remember(covariance: Floats, memory: Floats) -> Floats:
