@@ -1,14 +1,18 @@
 """The second world beside the project, in small: what an investigation says where nothing is hidden."""
 
+from pathlib import Path
+
 import pytest
 
 from validation.chain_form import PARTS, WORLD, draw_conditions, judge_quiet, listen
 from validation.machinery.records import asked_of
 
 
-@pytest.mark.skipif(not WORLD.is_file(), reason="needs ../shared/outside")
-def test_a_small_year_of_the_second_world_with_nothing_hidden_is_given_no_name() -> None:
-    row = {"seed": 3, **listen(3, antennas=3, events=150)}
+@pytest.mark.long
+@pytest.mark.shared
+def test_a_small_year_of_the_second_world_with_nothing_hidden_is_given_no_name(shared: Path) -> None:
+    assert shared / "outside/world.py" == WORLD
+    row = listen(3, antennas=3, events=150)
     assert (row["verdict"], row["named"], row["axis"]) == ("consistent", [], None)
 
 
