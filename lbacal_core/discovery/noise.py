@@ -366,7 +366,9 @@ def find_memory_of_gains(station: Station, amount: Floats) -> Floats:
     white = np.clip(np.moveaxis(amount[:, order] @ root, 0, 1), -LARGEST, LARGEST)
     of_hours, of_days, of_weeks = (one.next_to(white.reshape(count, -1)) for one in every)
     found = []
-    for one, beside in ((days, of_days), (hours, of_hours))[: 1 + (hours.pairs >= FEWEST_PAIRS)]:
+    for one, beside in ((days, of_days), (hours, of_hours)):
+        if one.pairs < FEWEST_PAIRS:
+            continue
         left = (beside - one.pairs / apart * (of_weeks - of_days)).reshape(white.shape)
         alike = 2.0 * np.median(np.einsum("epk,epj->pkj", white, left) / events, axis=0)
         of_chance = 2.0 * (one.pairs * (1.0 + one.pairs / apart) * min(MEDIAN / paths, 1.0)) ** 0.5 / count
