@@ -26,7 +26,7 @@ from lbacal_core.causes.catalogue import ANTENNA_CAUSES
 from lbacal_core.causes.cause import signature
 from lbacal_core.discovery.baseline import Baseline
 from lbacal_core.discovery.hypothesis import Hypothesis, Target, p_of, sigma_of, trials_factor
-from lbacal_core.discovery.noise import remember
+from lbacal_core.discovery.noise import with_memory
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.station import Station
@@ -612,7 +612,7 @@ def _influence(station: Station, baseline: Baseline, model: LinearModel, path: i
     channels = slope.size
     radiometer = (levels.path_channel * scale) ** 2
     of_channel = levels.path_channel**2 * np.eye(len(levels.vectors))
-    whole = remember(levels.of_all(levels.path_shared[:, c]) + of_channel, levels.path_memory)
+    whole = with_memory(levels.of_all(levels.path_shared[:, c]) + of_channel, levels.path_memory)
     variance, turned = np.linalg.eigh((whole - of_channel) * scale**2)
     vectors = turned.T @ levels.vectors
     # What an event shares along each vector takes this part of its weight, shape (vector, event).

@@ -139,7 +139,7 @@ TYPICAL_EVENTS = 100
 """Spectra for which the typical covariance of a path counts in that of a cable name: 14 % of a variance."""
 WITHIN_S = 0.5 * 86400.0, 3 * 86400.0, 12 * 86400.0
 """Time between neighbours, whose gains may be alike for hours or days; beyond, only a slow effect makes them so."""
-LARGEST, REMEMBERED = 3.0, 3.0
+LARGEST, HAS_MEMORY = 3.0, 3.0
 """Standard deviations at which an amount is cut, and those beyond which gains that are alike have memory."""
 MEDIAN = np.pi / 2.0
 """Variance of a median over that of a mean."""
@@ -343,7 +343,7 @@ def estimate_levels(
 
 
 def find_memory_of_gains(station: Station, amount: Floats) -> Floats:
-    """What neighbouring events add to the covariance of what varies slowly, in units of the whole, shape (k, k).
+    """Estimate by how much neighbouring events widen the covariance of slow changes, a share of it, shape (k, k).
 
     Gains that last for hours or a day are alike in neighbours, and a mean over months is less certain than that of
     independent events. What lasts for months is an effect: it is alike in events further apart as well, which is taken
@@ -373,11 +373,11 @@ def find_memory_of_gains(station: Station, amount: Floats) -> Floats:
         alike = 2.0 * np.median(np.einsum("epk,epj->pkj", white, left) / events, axis=0)
         of_chance = 2.0 * (one.pairs * (1.0 + one.pairs / apart) * min(MEDIAN / paths, 1.0)) ** 0.5 / count
         values, turned = np.linalg.eigh(alike)
-        found.append(np.asarray((turned * np.where(values > REMEMBERED * of_chance, values, 0.0)) @ turned.T))
+        found.append(np.asarray((turned * np.where(values > HAS_MEMORY * of_chance, values, 0.0)) @ turned.T))
     return max(found, key=np.trace)
 
 
-def remember(covariance: Floats, memory: Floats) -> Floats:
+def with_memory(covariance: Floats, memory: Floats) -> Floats:
     """The covariance of what varies slowly, by that of independent events, shape (..., k, k)."""
     if not np.any(memory):
         return covariance

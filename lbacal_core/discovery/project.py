@@ -23,9 +23,9 @@ from lbacal_core.discovery.noise import (
     Residuals,
     clean_mean,
     estimate_again,
-    remember,
     split_residuals,
     split_values,
+    with_memory,
 )
 from lbacal_core.discovery.station import SkyModes, Station
 from lbacal_core.discovery.view import Seen, View
@@ -282,7 +282,7 @@ class LinearModel:
         of_paths = residuals.spread.mean(axis=0)[:, None, None] * levels.mean_path_shared[levels.kind_of]
         joint = of_paths + variance[:, None, None] * size
         of_sum, of_difference = (
-            everyone * invert_symmetric(remember(np.where(everyone, shared[levels.kind_of] + joint, size), memory))
+            everyone * invert_symmetric(with_memory(np.where(everyone, shared[levels.kind_of] + joint, size), memory))
             for shared, memory in (
                 (levels.common_sum, levels.sum_memory),
                 (levels.common_difference, levels.difference_memory),
@@ -375,7 +375,7 @@ class LinearModel:
         levels = self.residuals.levels
         variance = levels.path_channel**2
         channel = np.array([[1.0 / variance]])
-        inside = invert_symmetric(remember(shared + variance * np.eye(len(levels.vectors)), levels.path_memory))
+        inside = invert_symmetric(with_memory(shared + variance * np.eye(len(levels.vectors)), levels.path_memory))
         inside = (inside[levels.kind_of] if len(inside) > 1 else inside)[None, None]
         free, residual = np.concatenate([constants, level])[:, None], self.residuals.deviation[members][:, None]
         prior = np.repeat([0.0, 1.0 if self.modes is None else self.modes.prior], [len(constants), len(level)])

@@ -17,8 +17,8 @@ from lbacal_core.discovery.noise import (
     find_memory_of_gains,
     is_heavy,
     list_kinds,
-    remember,
     split_residuals,
+    with_memory,
 )
 from lbacal_core.discovery.project import LARGEST, EventGains
 
@@ -400,7 +400,7 @@ def test_gains_that_last_for_hours_add_to_the_variance_of_a_mean_over_months(sta
     of_one = find_memory_of_gains(placed, amount[:1])
     np.testing.assert_allclose(np.diag(of_one), true, atol=1.0)
     covariance = np.array([[4.0, 1.0], [1.0, 2.0]])
-    np.testing.assert_allclose(remember(covariance, np.eye(2)), 2.0 * covariance)
+    np.testing.assert_allclose(with_memory(covariance, np.eye(2)), 2.0 * covariance)
 
 
 def test_what_lasts_for_months_is_an_effect_and_no_memory(station):
