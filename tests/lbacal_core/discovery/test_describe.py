@@ -17,10 +17,12 @@ from lbacal_core.discovery.report import investigate
 from lbacal_core.discovery.residual_structure import find_structure, strongest_structure
 from lbacal_core.discovery.search import search_station
 from lbacal_core.discovery.station import gather_stations
+from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.fault import Where
 from lbacal_twin.faults.hardware import Compression, GainStep
 from lbacal_twin.faults.sky import DipoleSwap, IonosphericAbsorption, LstOffset, RfiBroadband
 from lbacal_twin.faults.uncatalogued import AuroralAbsorption, FieldGradient, MainsHum, WorkingWeek
+from lbacal_twin.settings import TwinSettings
 
 
 @pytest.mark.long
@@ -78,8 +80,11 @@ def test_absorption_in_some_nights_of_a_solar_rotation_is_a_product_of_two_cours
 
 
 @pytest.mark.long
-def test_a_shadow_that_grows_from_antenna_to_antenna_is_said_to(spoil, simulation):
-    report, (found,) = investigate(spoil(FieldGradient(size=0.25)), simulation)
+def test_a_shadow_that_grows_from_antenna_to_antenna_is_said_to(chain, sky, simulation):
+    settings = TwinSettings(stations=("CS002",), antennas=4, events_per_year=300)
+    shadow = [FieldGradient(size=0.25)]
+    spectra = simulate_campaign(settings, chain, sky, np.random.default_rng(20140101), shadow).spectra
+    report, (found,) = investigate(spectra, simulation)
     assert abs(found.description.grows_with_number) > 0.9
     assert "grows with their number" in report["unexplained"]["in_words"]
     assert report["unexplained"]["sentences"][0]["parameters"]["course"][:3] == ("wave", "LST", 1)

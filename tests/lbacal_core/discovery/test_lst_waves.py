@@ -20,6 +20,7 @@ from tests import lst_waves
 
 CONSISTENT = ({CONVERGED}, {CONVERGED}, "consistent", None)
 WRONG = ({MISFIT}, {MISFIT}, "unexplained", "lst")
+LARGE, SMALL = (8, 600), (4, 400)
 
 
 def judge(spectra, simulation):
@@ -41,20 +42,22 @@ def simulation():
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("size", "harmonic", "slopes", "seed", "expected"),
+    ("size", "harmonic", "slopes", "seed", "antennas_and_events", "expected"),
     [
-        (0.0, 1, False, 3, CONSISTENT),
-        (0.01, 1, False, 6, CONSISTENT),
-        (0.02, 1, False, 5, WRONG),  # was named jitter of the converter, which made chi^2 worse
-        (0.03, 1, False, 4, WRONG),  # ended in a fit that had run away, and an error of NumPy
-        (0.04, 1, False, 3, WRONG),  # converged, converged, unexplained
-        (0.06, 1, False, 4, WRONG),
-        (0.03, 4, False, 3, WRONG),  # 14 of 16 paths converged
-        (0.015, 2, True, 3, WRONG),
+        (0.0, 1, False, 3, LARGE, CONSISTENT),
+        (0.01, 1, False, 6, LARGE, CONSISTENT),
+        (0.02, 1, False, 5, LARGE, WRONG),  # was named jitter of the converter, which made chi^2 worse
+        (0.03, 1, False, 4, SMALL, WRONG),  # ended in a fit that had run away, and an error of NumPy
+        (0.04, 1, False, 3, SMALL, WRONG),  # converged, converged, unexplained
+        (0.06, 1, False, 4, SMALL, WRONG),
+        (0.03, 4, False, 3, LARGE, WRONG),  # 14 of 16 paths converged
+        (0.015, 2, True, 3, SMALL, WRONG),
     ],
 )
-def test_fits_and_an_investigation_say_the_same_of_gains_along_lst(simulation, size, harmonic, slopes, seed, expected):
-    clean = lst_waves.simulate(simulation, seed)
+def test_fits_and_an_investigation_say_the_same_of_gains_along_lst(
+    simulation, size, harmonic, slopes, seed, antennas_and_events, expected
+):
+    clean = lst_waves.simulate(simulation, seed, *antennas_and_events)
     assert judge(lst_waves.with_gain(clean, simulation, size, harmonic, slopes=slopes), simulation) == expected
 
 
