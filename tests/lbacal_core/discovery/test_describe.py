@@ -111,12 +111,12 @@ def test_a_cause_that_an_installation_named_is_found_by_its_name(spoil, clean, s
     workshop = {"name": "workshop", "place": "receiver", "law": ["flat"], "course": ["working days"]}
     path.write_text(json.dumps({"format": FORMAT, "causes": [workshop]}))
     named = replace(simulation, catalogue=catalogue_with(path))
-    for spectra, found in ((spoil(WorkingWeek(size=0.08)), ["workshop"]), (clean, [])):
-        report, _ = investigate(spectra, named)
+    reports = [investigate(spectra, named)[0] for spectra in (spoil(WorkingWeek(size=0.08)), clean)]
+    for report, found in zip(reports, (["workshop"], []), strict=True):
         assert [one["cause"] for one in report["findings"]] == found
         assert report["verdict"] == ("explained" if found else "consistent")
         assert report["provenance"]["settings"]["own_causes"][0].startswith("workshop: the noise of the receiver")
-    (adopted,) = Model.from_report(json.loads(json.dumps(investigate(spoil(WorkingWeek(size=0.08)), named)[0]))).causes
+    (adopted,) = Model.from_report(json.loads(json.dumps(reports[0]))).causes
     assert adopted.cause == "sentence"
     assert abs(adopted.size - 0.08) < 4 * adopted.sigma
 
