@@ -200,6 +200,11 @@ class Evidence:
     tilt: float | None = None
     curvature: float | None = None
 
+    @property
+    def leaves_size_open(self) -> bool:
+        """Whether it gave a date and no size."""
+        return self.date is not None and self.size is None
+
 
 @dataclass(frozen=True)
 class Decision:

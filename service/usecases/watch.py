@@ -134,7 +134,8 @@ def settle_changes(stores: Stores, report: Mapping[str, Any], measured: Measured
 
     A path whose C was withdrawn has nothing that drift could be measured against: what was found in it stays. A step
     does not end because an adopted cause takes it up: the cause may be withdrawn. A slow change does: C would follow it
-    twice. A change follows the later events that give it another date or size, unless a person has spoken of it.
+    twice. A change follows the later events that give it another date or size, unless a person has spoken of it: of
+    one that a person entered without a size, the size alone.
     """
     found = [
         (change, max(float(member["significance"]) for member in one["members"]), bool(one["is_known"]))
@@ -172,20 +173,25 @@ def find_moved(on_record: Sequence[KeptChange], found: Alike) -> Iterator[tuple[
     """Find the changes that later events give another date or size, or the other dipole, by their numbers.
 
     With what these give them: of each that lasts, the nearest found of all its antennas, if no other on record is
-    nearer to that. One of which a person has spoken stays.
+    nearer to that. One of which a person has spoken stays, but for a size that was left open.
     """
     lasting = defaultdict[tuple[str | None, str], list[Change]](list)
     for kept in on_record:
         if kept.ended is None:
             lasting[kept.change.station, kept.change.kind].append(kept.change)
     for kept in on_record:
-        own = kept.change
-        if kept.ended is not None or any(by.source == PERSON and by.ended is None for by in kept.evidence):
+        own, spoken = kept.change, [by for by in kept.evidence if by.source == PERSON and by.ended is None]
+        if kept.ended is not None or not all(by.leaves_size_open for by in spoken):
             continue
         of_kind = found.get((own.station, own.kind), {})
         same = filter(own.is_same, of_kind)
         nearest = _nearest(own, [one for one in same if set(own.antennas) <= set(one.antennas)])
         if nearest is None:
+            continue
+        if spoken:
+            sized = replace(nearest, date=own.date, sigma=own.sigma, paths=own.paths)
+            if own.is_away_from(sized):
+                yield kept.number, sized, of_kind[nearest]
             continue
         more = [
             path for path in nearest.paths if path[0] in own.antennas and {path, (path[0], None)}.isdisjoint(own.paths)

@@ -338,6 +338,22 @@ def test_a_change_of_which_a_person_spoke_keeps_its_date_and_size(watched: Facto
         assert (kept.change, len(kept.evidence)) == (entered, 2)
 
 
+def test_a_change_that_a_person_entered_without_a_size_has_the_one_that_drift_finds(watched: Factory) -> None:
+    """Its antenna left the mean of its station for ever, as if nothing were known of it."""
+    entered = Change("CS002", ((2, None),), "step", STEPPED, 0)
+    seen = []
+    with watched.database.write() as stores:
+        stores.changes.note(entered, Evidence("person", "ops", None, 0))
+        for now, size in enumerate((-0.05, -0.051, -0.06), 1):
+            settle_changes(
+                stores, {"changes": [step_of(0.5, size, error_days=1, error=0.003)]}, {("CS002", 2, "X")}, now
+            )
+            (kept,) = stores.changes.kept()
+            seen.append(kept.change)
+    assert seen == [replace(entered, size=size, size_sigma=0.003) for size in (-0.05, -0.05, -0.06)]
+    assert kept.seen_at(0).change == entered
+
+
 def test_of_antennas_that_changed_together_each_change_follows_and_a_part_moves_none(watched: Factory) -> None:
     of_both = {"error_days": 1, "error": 0.01, "antennas": (1, 2)}
     for now, (size, antennas) in enumerate(((-0.05, (1,)), (-0.05, (2,)), (-0.08, (1, 2)), (-0.05, (1, 2)))):
