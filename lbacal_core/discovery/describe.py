@@ -148,8 +148,7 @@ def describe_structure(
     if not seen:
         return Description()
     likely = _search(model.linear, seen, targets)
-    fitted = [_fit(model, one) for one in likely if one.gain > likely[0].gain - 2.0 * FITTED_WITHIN]
-    order = sorted((one for one in fitted if one is not None), key=lambda one: -one[0].log_odds)
+    order = sorted(_fit_likely(model, likely), key=lambda one: -one[0].log_odds)
     said = [one for one, _ in order if one.log_odds > CERTAIN and one.held_out_gain > 0.0]
     if not said:
         return Description()
@@ -209,6 +208,17 @@ def _best_of_places(sentences: Sequence[ScoredSentence]) -> list[ScoredSentence]
     for one in sentences:
         best.setdefault((one.target.label, parts_of(one.template)[0]), one)
     return list(best.values())
+
+
+def _fit_likely(before: FittedModel, likely: Sequence[ScoredSentence]) -> list[tuple[Described, FittedModel]]:
+    """Fit the sentences that are hardly less likely than the first that no size makes run away."""
+    fitted, least = list[tuple[Described, FittedModel]](), -np.inf
+    for one in likely:
+        found = _fit(before, one) if one.gain > least else None
+        if found is not None:
+            fitted.append(found)
+            least = max(least, one.gain - 2.0 * FITTED_WITHIN)
+    return fitted
 
 
 def _fit(before: FittedModel, one: ScoredSentence) -> tuple[Described, FittedModel] | None:
