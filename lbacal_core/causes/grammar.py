@@ -129,6 +129,9 @@ def _scaled(functions: Floats, numbers: Sequence[float]) -> Floats:
 EDGE = 0.03
 """Share of the band within which a law ends at an edge: filters of the field fall within some MHz of 50."""
 
+RIPPLES = np.arange(2.0, 20.5, 1.5).tolist()
+"""Periods of a ripple along the band. One half way between two of them shows 0.3 of itself in each, the sinc of 3/4."""
+
 LAWS: dict[str, Kind] = {
     "flat": Kind(lambda c: np.ones(c.frequency_mhz.size), _once, "alike at all frequencies", "1"),
     "power": Kind(
@@ -166,10 +169,10 @@ LAWS: dict[str, Kind] = {
     ),
     "ripple": Kind(
         lambda c, delay_us, turns: np.cos(2.0 * np.pi * (delay_us * c.frequency_mhz - turns)),
-        lambda c: list(product((float(f"{one / _span(c):.3g}") for one in (2.5, 5, 7.5, 10, 15, 20)), (0.0, 0.25))),
+        lambda c: list(product((float(f"{one / _span(c):.3g}") for one in RIPPLES), (0.0, 0.25))),
         "as a ripple with a delay of {0:g} µs",
         "cos 2 pi ({0:g} µs nu - {1:g})",
-        (0.05, 0.25),
+        (0.03, 0.25),
     ),
     "resonance": Kind(
         lambda c: _slope_of(c.antenna_gain, c),

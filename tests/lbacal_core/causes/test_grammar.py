@@ -133,6 +133,17 @@ def test_a_ripple_with_another_delay_keeps_its_phase_in_the_middle_of_the_band(c
     np.testing.assert_allclose(values, law_of(conditions, ("ripple", 0.2, 0.25))[0, 0, middle], atol=1e-6)
 
 
+def test_no_ripple_falls_between_those_that_are_tried(conditions):
+    """One of 0.24 µs was said in no word: 0.2 and 0.3 µs were tried, and showed a tenth of it."""
+    tried = np.array([law_of(conditions, one)[0, 0] for one in list_laws(conditions) if one[0] == "ripple"])
+    tried /= np.linalg.norm(tried, axis=1)[:, None]
+    nu = conditions.frequency_mhz
+    delays = np.linspace(2.0, 20.0, 100) / np.ptp(nu)
+    angles = 2 * np.pi * (delays[:, None, None] * nu + np.arange(0.0, 0.5, 0.125)[:, None])
+    ripples = np.cos(angles) / np.linalg.norm(np.cos(angles), axis=-1)[..., None]
+    assert np.abs(ripples @ tried.T).max(axis=-1).min() > 0.2
+
+
 def test_courses_are_what_they_say(conditions):
     utc, time = conditions.utc_hours, conditions.time_unix
     day = np.array([datetime.fromtimestamp(one, UTC).weekday() for one in time])
