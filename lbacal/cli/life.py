@@ -64,19 +64,25 @@ def enter(
     station: Annotated[str, typer.Option(help="Station such as CS002.")],
     reason: Reason,
     antenna: Antenna = None,
+    dipole: Dipole = None,
     sigma_days: Annotated[float, typer.Option(help="Standard deviation of that instant, days.", min=0.0)] = 0.0,
     kind: Annotated[str, typer.Option(help="step, ramp or season.")] = "step",
     size: Annotated[float | None, typer.Option(help="Change of C (ramp: a year), a fraction.")] = None,
-    size_sigma: Annotated[float, typer.Option(help="Its error.", min=0.0)] = 0.0,
+    size_sigma: Annotated[float | None, typer.Option(help="Its error.", min=0.0)] = None,
     as_json: Json = False,
 ) -> None:
-    """Enter what is known to have changed, of an antenna or of a whole station; it is in force at once.
+    """Enter what is known to have changed, of a path, an antenna or a station, or put it right; in force at once.
 
     Example: lbacal changes enter 2014-05-01T12:00 --station CS002 --antenna 17 --reason "another amplifier"
     """
     entry: dict[str, Any] = {"at": {"value": at, "sigma_days": sigma_days}, "kind": kind, "reason": reason}
-    entry |= {} if size is None else {"size": {"value": size, "sigma": size_sigma}}
-    entry |= {"station": station} if antenna is None else {"paths": [{"station": station, "antenna": antenna}]}
+    if size is None and size_sigma is not None:
+        raise BadInputError("--size-sigma", "--size beside it", "none")
+    if antenna is None and dipole is not None:
+        raise BadInputError("--dipole", "--antenna beside it", "none")
+    entry |= {} if size is None else {"size": {"value": size, "sigma": size_sigma or 0.0}}
+    path = {"station": station, "antenna": antenna} | ({} if dipole is None else {"dipole": dipole})
+    entry |= {"station": station} if antenna is None else {"paths": [path]}
     with Client() as client:
         show(client.send("POST", "/v1/changes", entry), print_change, as_json=as_json)
 

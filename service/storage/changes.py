@@ -45,7 +45,7 @@ def is_same_date(one: tuple[Instant, Instant], other: tuple[Instant, Instant]) -
     return abs(one[0] - other[0]) <= SAME_DATE * math.hypot(one[1], other[1]) + DAY_US
 
 
-ESTIMATED = "date", "sigma", "size", "size_sigma", "tilt", "curvature"
+DATED, SIZED = ("date", "sigma"), ("size", "size_sigma", "tilt", "curvature")
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ class Change:
     @property
     def estimate(self) -> dict[str, Any]:
         """The date and size with their errors, and the shape."""
-        return {name: getattr(self, name) for name in ESTIMATED}
+        return {name: getattr(self, name) for name in (*DATED, *SIZED)}
 
     def is_away_from(self, other: Change) -> bool:
         """Whether another estimate of it differs: a size by more than its error, a date by a day and two errors."""
@@ -126,6 +126,23 @@ class Change:
             return other.size is not None
         reach = other.size_sigma or 0.0
         return any(abs(one - then) > reach for one, then in zip(self._modes(), other._modes(), strict=True))
+
+    def has_all_of(self, other: Change) -> bool:
+        """Whether all antennas of another one are among its own."""
+        return set(other.antennas) <= set(self.antennas)
+
+    def as_found(self, other: Change) -> Change:
+        """Take date and size of another report of it, and the dipoles of its antennas which that adds."""
+        more = [
+            path for path in other.paths if path[0] in self.antennas and {path, (path[0], None)}.isdisjoint(self.paths)
+        ]
+        return replace(other, paths=(*self.paths, *more))
+
+    def as_told(self, other: Change) -> Change:
+        """Take what a person tells of it: a date beyond a day of its own, and all else where a size is given."""
+        told = self if other.size is None else self.as_found(other)
+        dated = self if abs(self.date - other.date) <= DAY_US else other
+        return replace(told, date=dated.date, sigma=dated.sigma)
 
     def _modes(self) -> tuple[float, float, float]:
         return math.log1p(self.size or 0.0), self.tilt or 0.0, self.curvature or 0.0
@@ -185,7 +202,7 @@ class Cut:
 class Evidence:
     """A source of a change: its kind, the report that it refers to, and the first and last time at which it held.
 
-    With the estimate that the change has since then; None where it kept the one that it had.
+    With the estimate that the change has since then; None for what it keeps of the one that it had.
     """
 
     source: str
@@ -300,8 +317,11 @@ class KeptChange:
             for one in self.evidence
             if one.made <= as_of
         ]
-        said = [{name: getattr(one, name) for name in ESTIMATED} for one in known if one.date is not None]
-        return replace(self, change=replace(self.change, **said[-1]) if said else self.change, evidence=tuple(known))
+        said: dict[str, Any] = dict.fromkeys(SIZED)
+        for one in known:
+            given = (*(DATED if one.date is not None else ()), *(SIZED if one.size is not None else ()))
+            said |= {name: getattr(one, name) for name in given}
+        return replace(self, change=replace(self.change, **said), evidence=tuple(known))
 
 
 def concerns(kept: KeptChange, antenna: int | None, dipole: str | None) -> bool:
@@ -389,7 +409,8 @@ class ChangeStore(Store):
     def note(self, found: Change, evidence: Evidence) -> KeptChange:
         """Write what a source says: of a change that is on record, or of a new one.
 
-        One that is on record keeps its date and size. Antennas that were not among its own are a change of their own.
+        One that is on record keeps its date and size, unless a person gives others. Antennas that were not among its
+        own are a change of their own.
         """
         near = [change.c.station == found.station, change.c.kind == found.kind]
         near += [] if found.kind == STEP else [change.c.paths == json.dumps(found.paths)]
@@ -399,7 +420,9 @@ class ChangeStore(Store):
         rest = tuple(path for path in found.paths if path[0] not in covered)
         numbers = [one.number for one in same]
         for one in same:
-            if not any(_says(by, evidence) for by in one.evidence):
+            if evidence.source == PERSON and found.has_all_of(one.change):
+                self.move(one.number, one.change.as_told(found), replace(evidence, **found.estimate))
+            elif not any(_says(by, evidence) for by in one.evidence):
                 self._add_evidence(one.number, evidence)
         if rest or not same:
             row = to_row(replace(found, paths=rest), change, paths=json.dumps(rest), made_us=evidence.made)
@@ -409,11 +432,14 @@ class ChangeStore(Store):
         return self.get(numbers[0])
 
     def move(self, number: int, found: Change, evidence: Evidence) -> None:
-        """Write that a source gives a change another date, size or dipole from now on, in place of what it said."""
+        """Write that a source gives a change another date, size or dipole from now on, in place of what it said.
+
+        The evidence has what the source itself gives, or all of it.
+        """
         self.end(number, evidence.source, evidence.made)
         own = update(change).where(change.c.id == number)
         self._connection.execute(own.values(to_row(found, change, paths=json.dumps(found.paths))))
-        self._add_evidence(number, replace(evidence, **found.estimate))
+        self._add_evidence(number, evidence if evidence.date is not None else replace(evidence, **found.estimate))
 
     def _add_evidence(self, number: int, evidence: Evidence) -> None:
         self._connection.execute(change_evidence.insert().values(to_row(evidence, change_evidence, change=number)))

@@ -185,7 +185,7 @@ def find_moved(on_record: Sequence[KeptChange], found: Alike) -> Iterator[tuple[
             continue
         of_kind = found.get((own.station, own.kind), {})
         same = filter(own.is_same, of_kind)
-        nearest = _nearest(own, [one for one in same if set(own.antennas) <= set(one.antennas)])
+        nearest = _nearest(own, [one for one in same if one.has_all_of(own)])
         if nearest is None:
             continue
         if spoken:
@@ -193,15 +193,13 @@ def find_moved(on_record: Sequence[KeptChange], found: Alike) -> Iterator[tuple[
             if own.is_away_from(sized):
                 yield kept.number, sized, of_kind[nearest]
             continue
-        more = [
-            path for path in nearest.paths if path[0] in own.antennas and {path, (path[0], None)}.isdisjoint(own.paths)
-        ]
-        if not (more or own.is_away_from(nearest)):
+        told = own.as_found(nearest)
+        if told.paths == own.paths and not own.is_away_from(nearest):
             continue
         same = filter(nearest.is_same, lasting[own.station, own.kind])
         rivals = [one for one in same if not own.paths or set(one.antennas) & set(own.antennas)]
         if _nearest(nearest, rivals) == own:
-            yield kept.number, replace(nearest, paths=(*own.paths, *more)), of_kind[nearest]
+            yield kept.number, told, of_kind[nearest]
 
 
 def _nearest(own: Change, others: Iterable[Change]) -> Change | None:

@@ -354,6 +354,33 @@ def test_a_change_that_a_person_entered_without_a_size_has_the_one_that_drift_fi
     assert kept.seen_at(0).change == entered
 
 
+def test_what_a_person_enters_again_replaces_what_stood(watched: Factory) -> None:
+    """A typo of the size stood for ever: a second entry was answered with the numbers of the first."""
+    x, both = ((2, "X"),), ((2, None),)
+    told = [
+        (Change("CS002", x, "step", STEPPED, DAY_US), "drift"),
+        (Change("CS002", both, "step", STEPPED + DAY_US // 2, 0), "person"),  # the log book, without a size
+        (Change("CS002", both, "step", STEPPED + 2 * DAY_US, 0, 0.5, 0.0), "person"),
+        (Change("CS002", both, "step", STEPPED + 2 * DAY_US, 0, 0.05, 0.01), "person"),
+        (Change("CS002", ((3, "X"),), "step", STEPPED + 3 * DAY_US, 0, 0.2, 0.01), "person"),
+        (Change("CS002", both, "step", STEPPED, DAY_US, 0.07, 0.01), "investigation"),
+    ]
+    seen = []
+    with watched.database.write() as stores:
+        for now, (change, source) in enumerate(told):
+            stores.changes.note(change, Evidence(source, "", None, now))
+            kept = stores.changes.kept()[0]
+            seen.append((kept.change.date - STEPPED, kept.change.size, kept.change.dipoles_of(2)))
+        settle_changes(stores, {"changes": [step_of(0, 0.08, error_days=1, error=0.003)]}, {("CS002", 2, "X")}, 9)
+        assert stores.changes.kept()[0].change == kept.change, "a person has spoken"
+    assert seen == [(0, None, ("X",))] * 2 + [(2 * DAY_US, one, None) for one in (0.5, 0.05, 0.05, 0.05)]
+    assert [(by.source, by.size, by.ended) for by in kept.evidence] == [
+        ("drift", None, None), ("person", None, 2), ("person", 0.5, 3), ("person", 0.05, None),
+        ("investigation", None, None),
+    ]  # fmt: skip
+    assert [kept.seen_at(now).change.size for now in range(5)] == [None, None, 0.5, 0.05, 0.05]
+
+
 def test_of_antennas_that_changed_together_each_change_follows_and_a_part_moves_none(watched: Factory) -> None:
     of_both = {"error_days": 1, "error": 0.01, "antennas": (1, 2)}
     for now, (size, antennas) in enumerate(((-0.05, (1,)), (-0.05, (2,)), (-0.08, (1, 2)), (-0.05, (1, 2)))):
