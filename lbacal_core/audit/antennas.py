@@ -195,7 +195,8 @@ def find_wrong_cables(
     """
     axis = station.frequency_mhz - station.frequency_mhz.mean()
     axis = axis / np.sqrt(np.mean(axis**2)) if axis.size > 1 else axis
-    recorded = np.nanmedian(np.log(station.power), axis=2)
+    power = np.log(station.power)
+    recorded = np.nanmedian(power - np.nanmedian(power, axis=0), axis=2)  # half of the time one may be dead
     sigma = np.maximum(spread(_level_and_slope(comparison.level[..., None] + comparison.profile, axis)), SMALLEST)
     distances = {}
     for name, loss in instrument.cables.items():
@@ -281,7 +282,8 @@ def levels_of_cables(
     All are empty where there is one name. `rows` are rows of the station, not antenna numbers; `power` is theirs,
     shape (row, dipole, event, freq).
     """
-    level = np.nanmedian(np.nanmean(power, axis=1), axis=(1, 2))
+    own = np.nanmean(power, axis=1)
+    level = np.nanmedian(np.nanmedian(own - np.nanmedian(own, axis=0), axis=1), axis=1)
     expected = np.log(station.loss[rows]).mean(axis=-1)
     names, name_at = np.unique(station.cables[rows], return_inverse=True)
     if names.size == 1:

@@ -9,11 +9,13 @@ from lbacal_core.audit.antennas import (
     find_ill_paths,
     find_steps,
     find_wrong_cables,
+    levels_of_cables,
     log_likelihood_of_unit,
     tell_exchanged,
 )
 from lbacal_core.audit.audit import audit
 from lbacal_core.audit.station import AuditedStation
+from tests.lbacal_core.audit.conftest import HOURS
 
 ALL, EVERYBODY = np.arange(6), np.ones(6, dtype=bool)
 
@@ -45,6 +47,16 @@ def test_of_one_cable_only_the_spectrum_tells_the_unit(station, low_band):
     power, volt = (log_likelihood_of_unit(one, ALL, unit, low_band) for unit in ("power", "volt"))
     assert power > volt
     assert log_likelihood_of_unit(seen, ALL, "power", low_band) < power
+
+
+@pytest.mark.parametrize("antenna", range(6))
+def test_an_antenna_that_is_dead_for_nearly_half_of_the_time_moves_the_level_of_no_cable(station, antenna):
+    """Its median over times and channels together was that of its weakest channels: decibels, or another cable."""
+    _, before, _ = levels_of_cables(station, ALL, np.log(station.power))
+    power = station.power.copy()
+    power[antenna, :, HOURS // 2 + 1 :] *= 1e-3
+    _, rest, _ = levels_of_cables(station, ALL, np.log(power))
+    assert np.abs(rest - before).max() < 0.02  # gains scatter by 1 %
 
 
 @pytest.mark.parametrize("unit", ["power", "dB", "volt"])
