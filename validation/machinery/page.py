@@ -27,13 +27,13 @@ The interval of a figure decides ([how](explanation/how-discovery-is-proven.md#w
 of it is within what is asked. **Refuted**: none is. **Undecided**: it reaches over the limit. n counts independent
 trials and, in brackets, how often seeds were entered in the [ledger](../validation/ledger.jsonl), whatever became of
 them. A record is *old* where the finder says of the [frozen data sets](../validation/frozen) something else than then.
-The rows are main claims; what else is refuted or undecided stands below.
+The rows are main claims.
 """
 TABLE = ("| claim | asked | found (interval) | n | verdict | proof |", "|" + "---|" * 6)
 OPEN = "Undecided (their records have sentence, limit and interval): "
 LIMITS = """\
 - The twin that makes the data is ours. It shares no code with what is tested, but its author has read both: a fault of
-  nature of which nobody thought is in no row.
+  nature that nobody thought of is in none.
 - This code has never calibrated the real instrument beside a reference source: no row compares C with an absolute
   measurement.
 - Rates hold for the stations that were simulated (four to 48 antennas, 150 to 900 events in a year).
