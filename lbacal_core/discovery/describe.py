@@ -52,6 +52,8 @@ RIVAL = 3.0
 """ln of the odds below which two sentences are rivals: 1 to 20."""
 FITTED_WITHIN = 5.0
 """ln of the odds below which, before the fit with the chain, a sentence may still become a rival."""
+FEWEST_EVENTS = 5.0
+"""Events on which a sentence must act: of fewer a course tells nothing, and they are said by themselves."""
 FEWEST_ALIKE = 4
 """Antennas from which one asks whether they show a sentence by an amount that grows with their number."""
 
@@ -199,7 +201,14 @@ def _search(model: LinearModel, seen: Sequence[Target], targets: Sequence[Target
         varied = best_of_families([*vary_sentence(model, start, choices), *estimate_sentence(model, start, choices)])
         worth = [other for other in varied[:REFINED] if other.gain > known.get(other.family, SHARE * varied[0].gain)]
         pool += [refine_sentence(model, other) for other in worth]
-    return _best_of_places(best_of_families(pool))[:FITTED]
+    lasting = [one for one in pool if _count_events(conditions, one.template) >= FEWEST_EVENTS]
+    return _best_of_places(best_of_families(lasting))[:FITTED]
+
+
+def _count_events(conditions: Conditions, template: Template) -> float:
+    """Number of events on which a sentence acts: of the squares of its course the squared sum over that of squares."""
+    square = SENTENCE.time_profile(conditions, template) ** 2
+    return float(np.sum(square) ** 2 / np.sum(square**2))
 
 
 def _best_of_places(sentences: Sequence[ScoredSentence]) -> list[ScoredSentence]:

@@ -77,6 +77,15 @@ def test_where_the_likeliest_sentence_runs_away_the_next_is_said(spoil, simulati
 
 
 @pytest.mark.long
+def test_a_single_event_is_put_into_no_course(clean, simulation):
+    """One burst was the square of the height of the Sun near a day of its rotation, times 135."""
+    burst = np.where(clean.event_id == clean.event_id[40], 8.0, 1.0)[:, None] ** (clean.frequency_mhz / 80.0)
+    model = fit_chain(gather_stations(replace(clean, power=clean.power * burst), simulation)[0])
+    structure = strongest_structure(model.linear, np.random.default_rng(0))
+    assert describe_structure(model, structure, list_targets(model.station), Policy()) == Description()
+
+
+@pytest.mark.long
 def test_absorption_in_some_nights_of_a_solar_rotation_is_a_product_of_two_courses(spoil, simulation):
     """Sky times (30 MHz / nu)^2, half way through a rotation of 27.275 days, at night."""
     _, (found,) = investigate(spoil(AuroralAbsorption(size=0.15)), simulation)
