@@ -12,7 +12,7 @@ from lbacal.cli.outputs import InstrumentName, require_outputs
 from lbacal.files import written_beside
 from lbacal_core.errors import BadInputError
 from lbacal_core.foreign import read_json
-from lbacal_core.instrument.instrument import load_instrument, parse_instrument
+from lbacal_core.instrument.instrument import find_instrument, load_instrument, parse_instrument
 
 
 def sky_power(
@@ -63,7 +63,7 @@ def sky_power(
 
 
 def antenna_gain(
-    instrument: Annotated[Path, typer.Option(help="Instrument file (JSON); it need not have antenna_gain.")],
+    instrument: Annotated[str, typer.Option(help="Name or file (JSON) of one; it need not have antenna_gain.")],
     antenna: Annotated[str, typer.Option(help="File of Jones terms in V per V/m (.npz or text).")],
     source: Annotated[str, typer.Option(help="Who computed or measured the table, and how: kept with the numbers.")],
     output: Annotated[Path, typer.Option(help="Instrument file to write (JSON).")],
@@ -80,19 +80,13 @@ def antenna_gain(
     from lbacal_core.antenna.names import take_antenna_gain
 
     require_outputs({"--output": output}, {"--instrument": instrument, "--antenna": antenna})
-    content = read_json(instrument)
+    content = read_json(find_instrument(instrument))
     if not isinstance(content, dict):
-        raise BadInputError(str(instrument), "a JSON object", type(content).__name__)
+        raise BadInputError(instrument, "a JSON object", type(content).__name__)
     made = take_antenna_gain(
-        content,
-        str(instrument),
-        antenna,
-        source,
-        is_absolute=absolute,
-        shape_error=shape_error,
-        scale_error=scale_error,
+        content, instrument, antenna, source, is_absolute=absolute, shape_error=shape_error, scale_error=scale_error
     )
-    checked = parse_instrument(made, str(instrument))
+    checked = parse_instrument(made, instrument)
     with written_beside(output) as beside:
         beside.write_text(json.dumps(made, allow_nan=False) + "\n")
     best = checked.frequency_mhz[checked.antenna_gain.argmax()]

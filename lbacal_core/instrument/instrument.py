@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -341,15 +340,20 @@ class Instrument:
         )
 
 
-def load_instrument(name_or_file: str) -> Instrument:
-    """Load an instrument that ships with the package by its name, or any other from its JSON file."""
-    shipped = {path.name.removesuffix(".json"): path for path in (files("lbacal_core") / "data/instruments").iterdir()}
-    if name_or_file in shipped:
-        return parse_instrument(json.loads(shipped[name_or_file].read_text(encoding="utf-8")), name_or_file)
-    path = Path(name_or_file)
+def find_instrument(name_or_file: str) -> Path:
+    """Find the file of an instrument: of one that ships with the package by its name, or any other."""
+    folder = Path(str(files("lbacal_core") / "data/instruments"))
+    shipped = {path.stem: path for path in folder.iterdir()}
+    path = shipped.get(name_or_file, Path(name_or_file))
     if not _is_there(path):
         raise UnknownNameError("instrument", name_or_file, sorted(shipped))
-    read = parse_instrument(read_json(path), str(path), path.parent)
+    return path
+
+
+def load_instrument(name_or_file: str) -> Instrument:
+    """Load an instrument that ships with the package by its name, or any other from its JSON file."""
+    path = find_instrument(name_or_file)
+    read = parse_instrument(read_json(path), name_or_file, path.parent)
     return replace(read, antenna=_beside(path, read.antenna), sky=_beside(path, read.sky))
 
 
