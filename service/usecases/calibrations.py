@@ -12,7 +12,7 @@ from lbacal.instants import DAY_US, SECOND_US, format_instant
 from lbacal_core.calibration.slow_changes import follow_slow_changes
 from lbacal_core.calibration.spreads import ServedCurve, serve_reference
 from lbacal_core.curves.reference_chain import ReferenceChain
-from lbacal_core.curves.validity import Instant, Promotion, Scope
+from lbacal_core.curves.validity import Instant, Promotion, Scope, Stretch
 from lbacal_core.errors import BadInputError, name_path, require_name
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import Remembered
@@ -35,6 +35,7 @@ State = tuple[int, Instant | None, tuple[KeptChange, ...]]
 SLOW_STEP_US = 10 * DAY_US
 """C along a ramp or season is served for the middle of so long a time: what is cached stays true in it, and five days
 of a season are 9 % of its amplitude."""
+SAMPLED_US = 30 * DAY_US
 
 
 @dataclass(frozen=True)
@@ -367,6 +368,14 @@ def follow(served: ServedCurve, version: Version, slow: Iterable[KeptChange], at
     """A curve of a version carried along slow changes to an instant."""
     since, until = (one / SECOND_US for one in version.window)
     return follow_slow_changes(served, [one.slow for one in slow if one.slow], at / SECOND_US, (since, until))
+
+
+def follow_through(
+    stretch: Stretch, served: ServedCurve, version: Version, slow: Sequence[KeptChange]
+) -> list[tuple[Instant, ServedCurve]]:
+    """A curve of a version along slow changes, every 30 days of a stretch in effect."""
+    since, until = stretch.start or version.since, stretch.end or version.until
+    return [(at, follow(served, version, slow, at)) for at in range(since, until, SAMPLED_US)]
 
 
 def _pick_decisive(asked: Mapping[Scope, Sequence[Promotion]]) -> dict[Scope, Promotion]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from lbacal.instants import DAY_US, SECOND_US, parse_instant
 from lbacal_core.causes.model import follows_date
-from lbacal_core.curves.validity import Instant, Scope
+from lbacal_core.curves.validity import Instant, Scope, timeline
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import Instrument
 from service.errors import ConflictError
@@ -34,7 +34,7 @@ from service.storage.changes import (
 from service.storage.database import Database, Stores
 from service.storage.models import Investigation
 from service.storage.versions import Version
-from service.usecases.calibrations import find_slow, follow, group_by_antenna, select_paths
+from service.usecases.calibrations import find_slow, follow_through, group_by_antenna, select_paths
 from service.usecases.drift import year_of
 from service.usecases.gate import compare_curves
 from service.usecases.promotions import Change as ChangeOfC
@@ -136,17 +136,22 @@ class Changes:
     def _follow(
         self, stores: Stores, before: Sequence[KeptChange], after: Sequence[KeptChange], kept: KeptChange
     ) -> Iterator[ChangeOfC]:
-        """What C along a ramp or season, or no longer along it, is at the end of the year of its date."""
-        at, groups = year_of(kept.change.date)[1] - 1, [group_by_antenna(one) for one in (before, after)]
-        paths = select_paths(self.instrument, kept.change.station, None, None)
-        asked = stores.ledger.answers([one for one in paths if concerns(kept, one.antenna, one.dipole)], at, None)
-        told = {path: said[-1] for path, said in asked.items() if said and said[-1].calibration is not None}
-        versions = stores.versions.get_many({str(one.calibration) for one in told.values()})
-        for path, said in told.items():
-            version = versions[str(said.calibration)]
-            was, now = (follow(version.serve(path, at), version, find_slow(said.scope, of), at) for of in groups)
-            change = compare_curves(was.curve, now.curve)
-            yield ChangeOfC(path, said.valid_from, said.valid_to, version.id, version.id, change)
+        """The largest change of each stretch in effect by following a ramp or season, or by no longer doing so."""
+        groups, station = [group_by_antenna(one) for one in (before, after)], kept.change.station
+        paths = [one for one in select_paths(self.instrument, station, None, None) if concerns(kept, *one.parts[1:])]
+        standing = stores.ledger.standing({scope for path in paths for scope in path.widening})
+        in_effect = [(path, one) for path in paths for one in timeline(standing, path)]
+        versions = stores.versions.get_many({str(one.calibration) for _, one in in_effect})
+        for path, one in in_effect:
+            version = versions.get(str(one.calibration))
+            if version is None or one.start is None or not version.serves(path.dipole):
+                continue
+            served = version.serve(path, one.start)
+            sampled = (follow_through(one, served, version, find_slow(version.scope, of)) for of in groups)
+            changes = [compare_curves(was.curve, now.curve) for (_, was), (_, now) in zip(*sampled, strict=True)]
+            most = max(changes, key=lambda change: change.max_fraction, default=None)
+            if most is not None and most.max_fraction > 0.0:
+                yield ChangeOfC(path, one.start, one.end, version.id, version.id, most)
 
     def _fit(self, change: Change, window: tuple[Instant, Instant], cuts: Sequence[Cut], by: str) -> list[ChangeOfC]:
         from service.usecases.fits import Wanted

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from lbacal.instants import DAY_US, format_instant
+from lbacal.instants import format_instant
 from lbacal_core.calibration.spreads import serve_reference
 from lbacal_core.curves.validity import Instant, Scope, Stretch, timeline
 from lbacal_core.instrument.instrument import Instrument
@@ -17,13 +17,12 @@ from service.storage.database import Database
 from service.storage.models import Investigation
 from service.storage.versions import Version
 from service.usecases.alarms import Alarms
-from service.usecases.calibrations import ByAntenna, find_slow, follow, group_by_antenna, select_paths
+from service.usecases.calibrations import ByAntenna, find_slow, follow_through, group_by_antenna, select_paths
 from service.usecases.changes import Changes
 from service.usecases.models import AdoptedModel, Models
 
 MOST = 1000
 """Versions, alarms and investigations that are looked at; the newest ones."""
-SAMPLED_US = 30 * DAY_US
 
 
 class Factor(NamedTuple):
@@ -92,8 +91,7 @@ class Lives:
 def _follow(stretch: Stretch, version: Version, of_antenna: ByAntenna) -> list[Factor] | None:
     """C along slow changes, every 30 days of a stretch."""
     slow, served = find_slow(version.scope, of_antenna), serve_reference(version.curves[0])
-    since, until = stretch.start or version.since, stretch.end or version.until
-    followed = [(at, follow(served, version, slow, at)) for at in range(since, until, SAMPLED_US)] if slow else []
+    followed = follow_through(stretch, served, version, slow) if slow else []
     return [Factor(at, float(one.factor.mean()), one.error) for at, one in followed] or None
 
 

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import pytest
 
+from lbacal_core.curves.validity import Promotion, Scope
 from lbacal_core.instrument.instrument import Instrument
+from service.factory import Factory
 from service.storage.changes import INVESTIGATION, Evidence
 from service.storage.models import Investigation
 from service.usecases.changes import propose
-from tests.service.conftest import instant
+from service.wire.bodies import ChangeBody, DecisionBody
+from tests.service.conftest import instant, new_version
 
 DATE = instant("2014-06-01")
 EVERY = [0, 1, 2], ["X", "Y"]
@@ -40,3 +44,25 @@ def test_what_follows_the_date_is_proposed_with_its_change_of_c(instrument: Inst
         assert (one.size, one.size_sigma) == (pytest.approx(1 / 9), pytest.approx(0.01 * 10 / 9))
     expected = [Evidence(INVESTIGATION, f"{'a' * 64}#{number}", 9.0, 7) for number in (1, 2, 3)]
     assert [of_step, of_ramp, of_noise] == expected
+
+
+@pytest.mark.parametrize(("kind", "most"), [("ramp", 0.05), ("season", 0.1)])
+def test_a_decision_tells_what_a_slow_change_does_to_c_in_every_year(factory: Factory, kind: str, most: float) -> None:
+    """It told C at the end of the year of its date, where a season may stand at its mean, and of that year alone."""
+    path, edges = Scope("CS001", 0, "X"), [instant(f"{year}-01-01") for year in (2013, 2014, 2015, 2016)]
+    versions = [new_version(path, str(k), since=since, until=until) for k, (since, until) in enumerate(pairwise(edges))]
+    with factory.database.write() as stores:
+        stores.versions.add(versions)
+        stores.ledger.append([Promotion(0, path, *one.window, one.id, 0) for one in versions], factory.clock)
+    body = {
+        "paths": [{"station": "CS001", "antenna": 0, "dipole": "X"}], "kind": kind, "reason": "test",
+        "at": {"value": "2014-01-01" if kind == "ramp" else "2014-10-01"}, "size": {"value": 0.1, "sigma": 0.01},
+    }  # fmt: skip
+    kept = factory.changes.enter(ChangeBody.model_validate(body), "test")
+    dismissed = DecisionBody(decision="dismissed", reason="it was none")
+    _, changes = factory.changes.foresee(kept.number, dismissed, "test")
+    told = [(one.path, one.start, one.end, one.after) for one in changes]
+    moved = versions[1:] if kind == "ramp" else versions
+    assert told == [(path, *one.window, one.id) for one in moved], "before a ramp C stands still"
+    sizes = [one.curve_change.max_fraction for one in changes if one.curve_change is not None]
+    assert sizes[-2:] == pytest.approx([most, most], rel=0.1)

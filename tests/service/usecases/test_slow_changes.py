@@ -106,8 +106,8 @@ def test_c_follows_a_ramp_and_a_season_through_the_year(
             body = {"decision": decision, "reason": "test"}
             decided = http.post(f"/v1/changes/{ramp['id']}/decision", json=body)
             assert decided.status_code == 201
-            (of_c,) = decided.json()["changes"]
-            assert (of_c["antenna"], of_c["before"]) == (2, early["calibration"])
+            of_c, of_2015 = decided.json()["changes"]
+            assert (of_c["antenna"], of_c["before"], of_2015["from"][:4]) == (2, early["calibration"], "2015")
             assert of_c["max_fraction"] == pytest.approx(0.03, abs=0.01), "half a year of the ramp, and its tilt"
             curve = ask(http, path, DATES[0])
             assert curve["calibration"] == early["calibration"], "no version is made for it"
