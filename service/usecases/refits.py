@@ -234,10 +234,11 @@ class Refits:
             if scope not in stays and standing.get(scope) != name
         ]
         kept.promotions += promoted
-        kept.result["calibrations"] += [v.id for v in news]
+        again = [of for of, name in passed.items() if part.is_due and name in (standing.get(of), aside.get(of))]
+        kept.result["calibrations"] += [v.id for v in news if v.scope not in again]
         kept.result["promoted"] += [one.calibration for one in promoted]
         kept.result["gated"] |= {name: objection for name, objection in gated.items() if objection is not None}
-        kept.result["examined"] += len(examined)
+        kept.result["examined"] += len(examined) + len(again)
         in_effect = {scope: {passed.get(scope), standing.get(scope)} for scope in scopes}
         served = {v.scope: read_served(v, changes[v.scope], is_in_effect=v.id in in_effect[v.scope]) for v in news}
         served |= {

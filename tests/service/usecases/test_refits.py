@@ -16,9 +16,10 @@ from service.factory import Factory
 from service.scheduler import look_for_due_work
 from service.schema.tables import calibration, spectrum
 from service.storage.changes import STEP, Change, Decision, Evidence, KeptChange
-from service.storage.jobs import Job
+from service.storage.jobs import Job, Part
 from service.storage.versions import Examined, Version
 from service.usecases.refits import _confirm, _find_alike
+from service.usecases.windows import ALONE
 from service.wire.bodies import ChangeBody, DecisionBody, PromotionBody
 from tests.service.conftest import (
     add_spectra,
@@ -214,6 +215,23 @@ def test_of_two_fits_of_the_same_spectra_the_first_answers_however_often_they_to
             found = _confirm(stores, new, last, None, (), 0)
             assert found is not None
             assert found.calibration == one.id
+
+
+@pytest.mark.parametrize("is_due", [True, False])
+def test_due_work_counts_a_fit_that_gave_the_version_in_effect_as_examined(factory: Factory, is_due: bool) -> None:
+    """A job named twelve versions as made that it had found in effect."""
+    same, new = (new_version(Scope("CS001", antenna, "X"), f"fit {antenna}") for antenna in (0, 1))
+    asked = {"promote": True, "station": "CS001", "since": same.since, "until": same.until}
+    part = Part(1, 1, "refit", asked, "", "night", is_due)
+    with factory.database.write() as stores:
+        stores.versions.add([same])
+        stores.ledger.append([Promotion(0, same.scope, *same.window, same.id, 0, "night", "")], factory.clock)
+        kept = factory.refits._keep(stores, [same, new], part, {}, ALONE)
+    assert kept.result["promoted"] == [new.id]
+    assert kept.result["gated"] == {}
+    made = [new.id] if is_due else [same.id, new.id]
+    assert (kept.result["calibrations"], kept.result["examined"]) == (made, int(is_due))
+    assert [one.is_in_effect for one in kept.served.values()] == [True, True]
 
 
 def test_changes_are_in_force_as_before_where_a_decision_is_undone_and_for_the_paths_it_concerns() -> None:
