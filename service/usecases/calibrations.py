@@ -346,8 +346,8 @@ def _find_change(promotion: Promotion, of_antenna: ByAntenna) -> str | None:
 
 
 def _find_epoch(path: Scope, at: Instant, of_antenna: ByAntenna) -> Epoch:
-    """The epoch of a path, or of a whole station, in which an instant lies."""
-    own = [one for one in _of(of_antenna, path.station, path.antenna) if concerns(one, path.antenna, path.dipole)]
+    """The epoch of a path, or of a whole station, in which an instant lies: both dipoles are cut alike."""
+    own = _of(of_antenna, path.station, path.antenna)
     return next(one for one in split_epochs(path, own) if one.end is None or at < one.end)
 
 

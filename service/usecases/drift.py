@@ -327,7 +327,7 @@ def _gather(stores: Stores, scopes: Sequence[Scope], report: Mapping[str, Any] |
     steps = _steps(stores, Scope() if Scope() in scopes else scopes[0], report)
     found = []
     for scope in scopes:
-        own = [step for step in steps if _concerns(scope, step.change)]
+        own = [step for step in steps if is_of_step(scope, step.change)]
         versions = [mean for mean in in_effect if mean.scope == scope]
         slope = None if report is None else _slope(scope, report)
         months = draw_line(_name_versions(of_scope.get(scope, []), versions), slope)
@@ -337,7 +337,7 @@ def _gather(stores: Stores, scopes: Sequence[Scope], report: Mapping[str, Any] |
 
 def _steps(stores: Stores, scope: Scope, report: Mapping[str, Any] | None) -> list[Step]:
     """The changes of a scope, each with the version of its path in effect then."""
-    changes = [] if report is None else [one for one in report["changes"] if _concerns(scope, one)]
+    changes = [] if report is None else [one for one in report["changes"] if is_of_step(scope, one)]
     steps = [Step(change, None) for change in changes]
     asked = [(step.path, step.date) for step in steps if step.path.antenna is not None]
     decisive = stores.ledger.decisive_at(asked)
@@ -345,7 +345,8 @@ def _steps(stores: Stores, scope: Scope, report: Mapping[str, Any] | None) -> li
     return [replace(step, calibration=at.get((step.path, step.date))) for step in steps]
 
 
-def _concerns(scope: Scope, change: Mapping[str, Any]) -> bool:
+def is_of_step(scope: Scope, change: Mapping[str, Any]) -> bool:
+    """Whether a scope is one of those that a step concerns."""
     if scope.station is None or scope.antenna is None:
         return scope.station in (None, change["station"])
     mine = {(scope.antenna, scope.dipole), (None, scope.dipole)}

@@ -11,7 +11,7 @@ from lbacal.instants import format_instant
 from lbacal_core.calibration.spreads import serve_reference
 from lbacal_core.curves.validity import Instant, Scope, Stretch, timeline
 from lbacal_core.instrument.instrument import Instrument
-from service.storage.alarms import LOST_PATH, STATES, Alarm, AlarmsAsked
+from service.storage.alarms import LOST_PATH, STATES, Alarm, AlarmsAsked, News
 from service.storage.changes import LARGEST_TAKEN_OUT, STEP, Epoch, KeptChange, concerns, split_epochs
 from service.storage.database import Database
 from service.storage.models import Investigation
@@ -19,6 +19,7 @@ from service.storage.versions import Version
 from service.usecases.alarms import Alarms
 from service.usecases.calibrations import ByAntenna, find_slow, follow_through, group_by_antenna, select_paths
 from service.usecases.changes import Changes
+from service.usecases.drift import is_of_step
 from service.usecases.models import AdoptedModel, Models
 
 MOST = 1000
@@ -65,7 +66,10 @@ class Lives:
         """The life of a path, of a station, or of the array."""
         select_paths(self.instrument, station, antenna, dipole)
         scope = Scope(station, antenna, dipole)
-        changes = [one for one in self.changes.list_all(station) if concerns(one, antenna, dipole)]
+        changes = [
+            # windows are cut alike for both dipoles
+            one for one in self.changes.list_all(station) if concerns(one, antenna, None if one.cuts else dipole)
+        ]  # fmt: skip
         alarms = self.alarms.newest(AlarmsAsked(STATES, MOST, station=station))
         with self.database.read() as stores:
             stretches = [
@@ -83,9 +87,17 @@ class Lives:
             versions,
             sorted(changes, key=lambda one: one.change.date),
             [] if station is None else self.models.history(station)[::-1],
-            [one for one in alarms if one.news.scope in scope.widening or scope in one.news.scope.widening][::-1],
+            [one for one in alarms if _is_of(scope, one.news)][::-1],
             list(made)[::-1],
         )
+
+
+def _is_of(scope: Scope, news: News) -> bool:
+    """Whether an alarm is of a scope, of what it is a part of, or of a part of it; that of a step names its paths."""
+    if "members" in news.content:
+        return is_of_step(scope, news.content)
+    is_named = scope.antenna is None or scope.key in news.content.get("paths", [scope.key])
+    return is_named and (news.scope in scope.widening or scope in news.scope.widening)
 
 
 def _follow(stretch: Stretch, version: Version, of_antenna: ByAntenna) -> list[Factor] | None:

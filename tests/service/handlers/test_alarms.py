@@ -173,6 +173,28 @@ def test_the_life_of_a_path_says_what_was_in_effect_when_and_what_happened(
     assert client.get("/v1/paths/CS001/99/X/life").status_code == 422
 
 
+def test_the_life_of_a_path_has_the_steps_of_its_antenna_and_no_alarm_of_another(
+    factory: Factory, client: TestClient, stored: dict[str, Version]
+) -> None:
+    """It told every step of the station, and no change and one epoch where the other dipole cut its windows."""
+    promote(client, stored["station"], "2014-01-01", "2015-01-01")
+    find_change(factory, "CS001", 0)
+    lost = News("lost_path", Scope("CS001"), "", "two are silent", {"paths": ["CS001/1/Y", "CS001/2/Y"]})
+    with factory.database.write() as stores:
+        for news in (News("step", Scope("CS001"), "", "C of antenna 1 changed", STEP), lost):
+            stores.alarms.raise_alarm(news, factory.clock())
+    told = {
+        where: client.get(f"/v1/{where}/life").json()
+        for where in ("paths/CS001/0/X", "paths/CS001/0/Y", "paths/CS001/1/X", "paths/CS001/1/Y", "stations/CS001")
+    }
+    assert [len(life["alarms"]) for life in told.values()] == [0, 0, 1, 1, 2]
+    assert [len(life["changes"]) for life in told.values()] == [1, 1, 0, 0, 1]
+    assert [len(life["epochs"]) for life in told.values()] == [2, 2, 1, 1, 1]
+    asked = {"at": "2014-06-01", "station": "CS001", "antenna": 0}
+    curves = client.get("/v1/calibrations/effective", params=asked).json()["curves"]
+    assert [one["epoch"]["because"] for one in curves] == [1, 1]
+
+
 class _Asking:
     """A client of a server in this process."""
 
