@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from lbacal.client import Client
-from lbacal_core.errors import BadInputError
+from lbacal_core.errors import BadInputError, name_path
 
 
 def ask_life(client: Client, station: str | None, antenna: int | None, dipole: str | None) -> dict[str, Any]:
@@ -30,14 +30,21 @@ def tell_life(found: Mapping[str, Any]) -> list[tuple[str, str]]:
             one["from"],
             f"version {one['calibration'][:12]} answers until {one['to'] or 'open'}" + _tell_factor(one.get("factor")),
         ),
+        "withdrawals": lambda one: (one["at"], _tell_withdrawal(one)),
         "changes": lambda one: (one["at"]["value"], f"change {one['id']}, {one['decision'].replace('_', ' ')}"),
         "causes": lambda one: (one["at"], f"{one['act']}: {one['changed']}"),
         "alarms": lambda one: (one["raised_at"], f"alarm {one['alarm']} ({one['state']}): {one['sentence']}"),
         "investigations": lambda one: (one["made_at"], f"investigation {one['id'][:12]}: {one['verdict']}"),
     }
-    lines = [tell(one) for name, tell in told.items() for one in found[name]]
+    lines = [tell(one) for name, tell in told.items() for one in found.get(name, ())]
     # without the Z, which stands behind the point of a part of a second
     return [(at[:10], words) for at, words in sorted(((at or "").removesuffix("Z"), words) for at, words in lines)]
+
+
+def _tell_withdrawal(one: Mapping[str, Any]) -> str:
+    """The interval in which a scope lost its version, and why."""
+    whose = name_path(one["station"], one["antenna"], one["dipole"])
+    return f"{whose} withdrawn from {one['valid_from']} to {one['valid_to'] or 'open'} by {one['by']}: {one['reason']}"
 
 
 def _tell_factor(factor: list[dict[str, Any]] | None) -> str:

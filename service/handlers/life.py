@@ -20,6 +20,7 @@ from service.wire.answer_models import (
     FactorAnswer,
     InEffectStretch,
     LifeAnswer,
+    PromotionLine,
     VersionAnswer,
 )
 from service.wire.answers import describe_scope, fill_answer
@@ -72,6 +73,7 @@ def describe_life(life: Life, use: Factory) -> dict[str, Any]:
             fill_answer(InEffectStretch, one, factor=factor and [fill_answer(FactorAnswer, at) for at in factor])
             for one, factor in zip(life.in_effect, life.factors, strict=True)
         ],
+        "withdrawals": [fill_answer(PromotionLine, one, promotion=one.number) for one in life.withdrawals],
         "versions": [fill_answer(VersionAnswer, one) for one in life.versions],
         "changes": [describe_change(one, use) for one in life.changes],
         "causes": [describe_model(one) for one in life.causes],

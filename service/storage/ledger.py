@@ -322,6 +322,12 @@ class LedgerStore(Store):
         statement = select(promotion).where(promotion.c.id.in_(newest)).order_by(promotion.c.id)
         return [_value(row) for row in self._connection.execute(statement)]
 
+    def withdrawn(self, scopes: Iterable[Scope]) -> list[Promotion]:
+        """The promotions that withdrew what some scopes had, oldest first, whatever followed."""
+        keys = self._keys({scope.key for scope in scopes})
+        asked = select(promotion).where(promotion.c.scope.in_(select(keys.c.value)), promotion.c.calibration.is_(None))
+        return [_value(row) for row in self._connection.execute(asked.order_by(promotion.c.id))]
+
     def _standing_now(self, keys: FromClause, since: Instant | None, until: Instant | None) -> list[Promotion]:
         statement = select(promotion).join(standing, standing.c.promotion == promotion.c.id)
         statement = statement.join(keys, keys.c.value == standing.c.scope)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from lbacal.instants import DAY_US, SECOND_US, format_instant
+from lbacal.instants import DAY_US, SECOND_US, format_instant, format_optional
 from lbacal_core.calibration.slow_changes import follow_slow_changes
 from lbacal_core.calibration.spreads import ServedCurve, serve_reference
 from lbacal_core.curves.reference_chain import ReferenceChain
@@ -91,8 +91,15 @@ class CurveInEffect:
 
     @property
     def why(self) -> str:
-        """Why it is this version: for what it was made and put into effect, and between which changes."""
+        """Why it is this version: what it was made for, between which changes, and what was withdrawn before it."""
         made, acted, epoch, served = self.version, self.promotion, self.epoch, self.served
+        withdrawn = [
+            f"; what {name_path(*one.scope.parts)} has from {format_instant(one.valid_from)} to "
+            f"{format_optional(one.valid_to) or 'open'} was withdrawn {format_instant(one.at)[:19]}Z by {one.by} "
+            f"({one.reason})"
+            for one in self.trace
+            if one.calibration is None
+        ]
         named = " and ".join(f"change {one.number} ({one.change.kind})" for one in self.slow)
         followed = f"; C follows {named}, which adds an error of {100.0 * served.error:.2f} %" if named else ""
         ends = [
@@ -103,7 +110,7 @@ class CurveInEffect:
         return (
             f"made {format_instant(made.made)[:19]}Z by {made.made_by} ({made.reason}), in effect since "
             f"{format_instant(acted.at)[:19]}Z by {acted.by} ({acted.reason}); "
-            f"{' and '.join(ends) or 'no change in force bounds its epoch'}{followed}"
+            f"{' and '.join(ends) or 'no change in force bounds its epoch'}{followed}{''.join(withdrawn)}"
         )
 
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from lbacal.instants import format_instant
 from lbacal_core.calibration.spreads import serve_reference
-from lbacal_core.curves.validity import Instant, Scope, Stretch, timeline
+from lbacal_core.curves.validity import Instant, Promotion, Scope, Stretch, timeline
 from lbacal_core.instrument.instrument import Instrument
 from service.storage.alarms import LOST_PATH, STATES, Alarm, AlarmsAsked, News
 from service.storage.changes import LARGEST_TAKEN_OUT, STEP, Epoch, KeptChange, concerns, split_epochs
@@ -45,6 +45,7 @@ class Life:
     epochs: Sequence[Epoch]
     in_effect: Sequence[Stretch]
     factors: Sequence[Sequence[Factor] | None]
+    withdrawals: Sequence[Promotion]
     versions: Sequence[Version]
     changes: Sequence[KeptChange]
     causes: Sequence[AdoptedModel]
@@ -75,6 +76,7 @@ class Lives:
             stretches = [
                 one for one in timeline(stores.ledger.standing(scope.widening), scope) if one.calibration is not None
             ]
+            withdrawals = stores.ledger.withdrawn(scope.widening)
             names = [str(one.calibration) for one in stretches]
             versions, answering = stores.versions.newest(scope, names), stores.versions.get_many(names)
             made = [] if station is None else stores.investigations.newest(before=None, station=station, limit=MOST)
@@ -84,6 +86,7 @@ class Lives:
             split_epochs(scope, changes),
             stretches,
             [_follow(one, answering[str(one.calibration)], of_antenna) for one in stretches],
+            withdrawals,
             versions,
             sorted(changes, key=lambda one: one.change.date),
             [] if station is None else self.models.history(station)[::-1],

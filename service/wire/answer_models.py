@@ -729,6 +729,7 @@ class LifeAnswer(Answer):
 
     epochs: list[EpochAnswer]
     in_effect: list[InEffectStretch]
+    withdrawals: list[PromotionLine] = Field(description="of its own versions and of wider scopes', as they were made")
     versions: list[VersionAnswer]
     changes: list[PathChangeAnswer]
     causes: list[ModelLine]

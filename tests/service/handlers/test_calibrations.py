@@ -125,6 +125,14 @@ def test_withdrawal_uncovers_the_wider_scope(client: TestClient, stored: Stored)
     assert curve["answered_by"] == "array"
     trace = [(step["scope"], step["calibration"]) for step in curve["trace"]]
     assert trace == [("antenna", None), ("array", stored["array"].id)]
+    withdrawn = "; what CS001 antenna 0 X has from 2014-05-01T00:00:00Z to 2014-07-01T00:00:00Z was withdrawn 2020-"
+    assert withdrawn in curve["why"], "the sentence told of the promotion of the array alone"
+    assert curve["why"].endswith(" by key 1 (test)")
+    promote(client, stored["path"], "2014-05-01", "2014-07-01")
+    (line,) = client.get("/v1/paths/CS001/0/X/life").json()["withdrawals"]
+    assert (line["valid_from"][:10], line["valid_to"][:10], line["reason"]) == ("2014-05-01", "2014-07-01", "test")
+    assert client.get("/v1/paths/CS001/0/Y/life").json()["withdrawals"] == []
+    assert "withdrawn by key 1 on 2020-01-01: test" in client.get("/paths/CS001/0/X").text
 
 
 def test_a_gap_names_its_neighbours_and_can_be_held(client: TestClient, stored: Stored) -> None:
