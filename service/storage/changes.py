@@ -317,9 +317,9 @@ class KeptChange:
             for one in self.evidence
             if one.made <= as_of
         ]
-        said: dict[str, Any] = dict.fromkeys(SIZED)
+        said: dict[str, Any] = {}
         for one in known:
-            given = (*(DATED if one.date is not None else ()), *(SIZED if one.size is not None else ()))
+            given = () if one.date is None else DATED if one.size is None and said else (*DATED, *SIZED)
             said |= {name: getattr(one, name) for name in given}
         return replace(self, change=replace(self.change, **said), evidence=tuple(known))
 
