@@ -44,7 +44,8 @@ def tell_life(found: Mapping[str, Any]) -> list[tuple[str, str]]:
 def _tell_withdrawal(one: Mapping[str, Any]) -> str:
     """The interval in which a scope lost its version, and why."""
     whose = name_path(one["station"], one["antenna"], one["dipole"])
-    return f"{whose} withdrawn from {one['valid_from']} to {one['valid_to'] or 'open'} by {one['by']}: {one['reason']}"
+    until = one["valid_to"] or "open"
+    return f"{whose} was withdrawn from {one['valid_from']} to {until} by {one['by']}: {one['reason']}"
 
 
 def _tell_factor(factor: list[dict[str, Any]] | None) -> str:

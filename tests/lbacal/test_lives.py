@@ -16,5 +16,5 @@ def test_what_happened_on_one_day_stands_in_the_order_of_its_time() -> None:
 def test_a_withdrawal_is_told_with_who_made_it_and_why() -> None:
     of = {"station": "CS001", "antenna": 0, "dipole": "X", "at": "2020-01-01T00:00:00", "by": "key 1", "reason": "hail"}
     found = {"withdrawals": [of | {"valid_from": "2014-05-01T00:00:00Z", "valid_to": None}]}
-    sentence = "CS001 antenna 0 X withdrawn from 2014-05-01T00:00:00Z to open by key 1: hail"
+    sentence = "CS001 antenna 0 X was withdrawn from 2014-05-01T00:00:00Z to open by key 1: hail"
     assert tell_life(found) == [("2020-01-01", sentence)]

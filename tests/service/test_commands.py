@@ -99,6 +99,7 @@ $ life --station CS001 --antenna 0 --dipole X
 2019-01-01 investigation aaaaaaaaaaaa: consistent
 2019-02-01 investigation bbbbbbbbbbbb: explained
 2020-01-01 alarm 1 (acknowledged): CS001 is wrong
+2020-01-01 CS001 antenna 0 X was withdrawn from 2014-06-01T00:00:00Z to open by key 1: wrong cables
 versions: 3, epochs: 1
 $ models
 no models
