@@ -299,7 +299,8 @@ def print_state(state: dict[str, Any]) -> None:
     parts = ", ".join(f"{count} {name}" for name, count in state["parts"].items())
     print(f"parts of jobs: {parts}")
     newest = f", the newest of {state['newest_event']}" if state["newest_event"] else ""
-    print(f"{state['events']} events{newest}; {state['gated']} versions wait for a human")
+    gated = "1 version waits" if state["gated"] == 1 else f"{state['gated']} versions wait"
+    print(f"{state['events']} events{newest}; {gated} for a human")
     print(f"alarms: {state['alarms']['line']}")
     for one in state["investigations"]:
         print_news(one)

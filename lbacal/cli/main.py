@@ -6,6 +6,7 @@ point. Where a wheel or an extra is not installed, its commands say so before th
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable
 from functools import cache, wraps
@@ -117,6 +118,12 @@ _BAD_INPUT = (BadInputError, UnreadableFileError, UnknownNameError, MissingExtra
 _BAD_REQUEST = (400, 413, 415, 422)
 _BAD_USAGE: Any = typer.BadParameter.__base__
 _UNUSABLE_FILES = (FileExistsError, FileNotFoundError, IsADirectoryError, NotADirectoryError, PermissionError)
+_OF_THE_API = {
+    r"GET /v1/(alarms|changes|jobs|models|tag)s? lists": r"lbacal \1 lists",
+    r"\bbody\.(?:valid_)?(antenna|dipole|finding|fit|from|kind|reason|scope|since|size|station|to|until):": r"--\1:",
+    r"\bgap=hold": "lbacal effective --gap hold",
+}
+"""Words of the HTTP API in the sentences of a server, as patterns, and those of the commands."""
 
 
 def run() -> None:
@@ -126,7 +133,7 @@ def run() -> None:
     except _BAD_USAGE as error:
         _tell_usage(error)
     except LbacalError as error:
-        print(f"lbacal: {error}{f': {error.detail}' if error.detail else ''}", file=sys.stderr)
+        print(f"lbacal: {_say(error)}{f': {error.detail}' if error.detail else ''}", file=sys.stderr)
         is_bad_input = isinstance(error, _BAD_INPUT) or error.status in _BAD_REQUEST
         sys.exit(EXIT_BAD_INPUT if is_bad_input else EXIT_FAILED)
     except _UNUSABLE_FILES as error:
@@ -135,6 +142,14 @@ def run() -> None:
     except OSError as error:
         print(f"lbacal: the work failed: {error}", file=sys.stderr)
         sys.exit(EXIT_FAILED)
+
+
+def _say(error: LbacalError) -> str:
+    """The sentence of a failure in the words of the commands."""
+    told = str(error)
+    for pattern, words in _OF_THE_API.items():
+        told = re.sub(pattern, words, told)
+    return told
 
 
 def _tell_usage(error: Any) -> None:

@@ -288,4 +288,5 @@ def _tell_changes(before: Sequence[Any], now: Sequence[Any]) -> list[str]:
     ]
     more = [f"and {len(told) - CHANGES_NAMED} more changes"] if len(told) > CHANGES_NAMED else []
     gone = sum(one not in now for one in before)
-    return [*told[:CHANGES_NAMED], *more, *([f"{gone} changes count no more"] if gone else [])]
+    no_more = [f"{gone} change{'s count' if gone > 1 else ' counts'} no more"] if gone else []
+    return [*told[:CHANGES_NAMED], *more, *no_more]

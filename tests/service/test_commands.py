@@ -218,7 +218,7 @@ NEWS = {
 STATE = {
     "ready": True, "problem": None, "parts": {"queued": 2, "done": 1}, "newest_event": "2014-05-01T00:00:00Z",
     "processes": [{"kind": "worker", "name": "w", "alive": a, "silent_s": 61.2 * (not a)} for a in (True, False)],
-    "events": 5, "gated": 3, "alarms": {"line": "none"}, "not_refitted": ["CS002 waits"], "stopped_paying": ["a step"],
+    "events": 5, "gated": 1, "alarms": {"line": "none"}, "not_refitted": ["CS002 waits"], "stopped_paying": ["a step"],
     "investigations": [NEWS, {**NEWS, "before": VERSION}, {**NEWS, "before": VERSION, "new": ["a"], "gone": ["b"]}],
     "stuck": ["job 3"],
     "failures": [
@@ -286,7 +286,7 @@ changes of what paths are served: 0 (dry run: nothing was written)""",
 worker w lives, seen 0 s ago
 worker w is silent, seen 61 s ago
 parts of jobs: 2 queued, 1 done
-5 events, the newest of 2014-05-01T00:00:00Z; 3 versions wait for a human
+5 events, the newest of 2014-05-01T00:00:00Z; 1 version waits for a human
 alarms: none
 CS002, 2014-01-01 to 2015-01-01: explained (gain_step); investigation 0123456789ab
 CS002, 2014-01-01 to 2015-01-01: explained (gain_step), as before; investigation 0123456789ab

@@ -60,6 +60,25 @@ def test_bad_input_exits_with_2_and_failed_work_with_1_and_both_with_one_line(
     assert "None" not in captured.err
 
 
+@pytest.mark.parametrize(
+    ("sentence", "told"),
+    [
+        ("no change 99; GET /v1/changes lists them", "no change 99; lbacal changes lists them"),
+        ("no tag a; GET /v1/tags lists them", "no tag a; lbacal tag lists them"),
+        ("body.scope: expected 'array', found 'all'", "--scope: expected 'array', found 'all'"),
+        ("body.valid_from: expected an instant", "--from: expected an instant"),
+        ("body.spectra[0].power: expected 4 channels", "body.spectra[0].power: expected 4 channels"),
+        (
+            "it is none: gap=hold answers with the nearest",
+            "it is none: lbacal effective --gap hold answers with the nearest",
+        ),
+    ],
+)
+def test_the_sentences_of_a_server_speak_of_the_commands(sentence: str, told: str) -> None:
+    """They spoke of routes and fields, which who types a command has never seen."""
+    assert command._say(LbacalError(sentence)) == told
+
+
 def test_every_command_is_listed_once_in_a_group_with_its_whole_first_sentence() -> None:
     command.add_commands()
     listed = [name for names in command.GROUPS.values() for name in names]

@@ -19,7 +19,8 @@ def test_a_reason_names_the_inputs_that_are_others_than_before():
         ({}, "tried again"),
     ):
         assert explain_due(WINDOW, WINDOW | now) == reason
-    assert explain_due(WINDOW | {"changes": [STEP]}, WINDOW) == "1 changes count no more"
+    assert explain_due(WINDOW | {"changes": [STEP]}, WINDOW) == "1 change counts no more"
+    assert explain_due(WINDOW | {"changes": [STEP, [*STEP[:2], 0]]}, WINDOW) == "2 changes count no more"
     assert explain_due(None, WINDOW) == "the first of this window"
     assert explain_due(None, WINDOW | {"model": 1}) == "a cause adopted or withdrawn"
     several = {"changes": [[*STEP[:1], antenna, STEP[2]] for antenna in range(5)]}
