@@ -201,8 +201,8 @@ def decide_change(
     """Put a change in force, or dismiss it.
 
     Whatever its sources say; the next look for due work fits the windows again. `changes` are those of the curves that
-    its paths would be served, by fits of the year. A change that has ended, or of which this is decided already, is
-    409. `dry_run=true` answers 200 and writes nothing.
+    its paths would be served, by fits of the year; of a ramp or season the largest while each is in effect. A change
+    that has ended, or of which this is decided already, is 409. `dry_run=true` answers 200 and writes nothing.
     """
     wanted = parse_body(DecisionBody, body)
     foreseen, of_c = use.changes.foresee(number, wanted, caller.name)
