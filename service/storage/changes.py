@@ -421,7 +421,9 @@ class ChangeStore(Store):
         numbers = [one.number for one in same]
         for one in same:
             if evidence.source == PERSON and found.has_all_of(one.change):
-                self.move(one.number, one.change.as_told(found), replace(evidence, **found.estimate))
+                told = one.change.as_told(found)
+                own = replace(found, date=told.date, sigma=told.sigma).estimate
+                self.move(one.number, told, replace(evidence, **own))
             elif not any(_says(by, evidence) for by in one.evidence):
                 self._add_evidence(one.number, evidence)
         if rest or not same:

@@ -378,7 +378,9 @@ def test_what_a_person_enters_again_replaces_what_stood(watched: Factory) -> Non
         ("drift", None, None), ("person", None, 2), ("person", 0.5, 3), ("person", 0.05, None),
         ("investigation", None, None),
     ]  # fmt: skip
-    assert [kept.seen_at(now).change.size for now in range(5)] == [None, None, 0.5, 0.05, 0.05]
+    then = [kept.seen_at(now).change for now in range(6)]
+    assert [one.size for one in then] == [None, None, 0.5, 0.05, 0.05, 0.05]
+    assert [one.date - STEPPED for one in then] == [date for date, *_ in seen]
 
 
 def test_of_antennas_that_changed_together_each_change_follows_and_a_part_moves_none(watched: Factory) -> None:
