@@ -42,10 +42,9 @@ def test_480_kills_without_a_broken_promise_show_that_fewer_than_one_in_a_hundre
         assert verdicts_of("kills", "sqlite", rows) == {"broken": verdict}
 
 
-@pytest.mark.usefixtures("needs_postgres")
-def test_three_kills_leave_no_adoption_half_done() -> None:
+def test_three_kills_leave_no_adoption_half_done(kind: str) -> None:
     """The suite's small instance of `./dev prove kill_adoptions`."""
-    row = kill_and_count("postgresql", kills=3, seed=0)
+    row = kill_and_count(kind, kills=3, seed=0)
     assert row["broken"] == []
     assert row["acts"] >= 2
 

@@ -49,6 +49,7 @@ def simulation():
         (0.02, 1, False, 5, LARGE, WRONG),  # was named jitter of the converter, which made chi^2 worse
         (0.03, 1, False, 4, SMALL, WRONG),  # ended in a fit that had run away, and an error of NumPy
         (0.04, 1, False, 3, SMALL, WRONG),  # converged, converged, unexplained
+        (0.06, 1, False, 4, SMALL, WRONG),
         (0.03, 4, False, 3, LARGE, WRONG),  # 14 of 16 paths converged
         (0.015, 2, True, 3, SMALL, WRONG),
     ],
