@@ -28,10 +28,9 @@ def test_four_kills_lose_nothing_and_change_nothing(kind: str) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.usefixtures("needs_postgres")
-def test_kills_among_dask_workers_backups_and_decisions_lose_nothing() -> None:
+def test_kills_among_dask_workers_backups_and_decisions_lose_nothing(kind: str) -> None:
     """The suite's small instance of the parts `-whole`."""
-    row = kill_and_compare("postgresql", kills=6, seed=1, is_whole=True)
+    row = kill_and_compare(kind, kills=6, seed=1, is_whole=True)
     assert row["broken"] == [], row
     assert row["decisions"] > 0
 
