@@ -91,7 +91,9 @@ def print_change(one: dict[str, Any]) -> None:
     """Print a change in one line, and the decision about it in a second one."""
     antennas = sorted({path["antenna"] for path in one["paths"] or ()})
     named = ", ".join(map(str, antennas[:4])) + (f" and {len(antennas) - 4} more" if len(antennas) > 4 else "")
-    who = (one["station"] or "array") + (f" antenna {named}" if named else "")
+    dipoles = {path.get("dipole") for path in one["paths"] or ()}
+    letter = dipoles.pop() if len(dipoles) == 1 else None
+    who = (one["station"] or "array") + (f" antenna {named}" if named else "") + (f" {letter}" if letter else "")
     value, sigma = (100 * (one["size"] or {}).get(name, 0.0) for name in ("value", "sigma"))
     size = (
         ""

@@ -1,3 +1,6 @@
+import pytest
+
+from lbacal.cli.life import print_change
 from lbacal.lives import tell_life
 
 
@@ -18,3 +21,29 @@ def test_a_withdrawal_is_told_with_who_made_it_and_why() -> None:
     found = {"withdrawals": [of | {"valid_from": "2014-05-01T00:00:00Z", "valid_to": None}]}
     sentence = "CS001 antenna 0 X was withdrawn from 2014-05-01T00:00:00Z to open by key 1: hail"
     assert tell_life(found) == [("2020-01-01", sentence)]
+
+
+@pytest.mark.parametrize(
+    ("paths", "who"), [(["X"], "CS003 antenna 1 X"), (["X", "Y"], "CS003 antenna 1"), ([None], "CS003 antenna 1")]
+)
+def test_a_change_of_one_dipole_is_told_with_its_letter(
+    capsys: pytest.CaptureFixture[str], paths: list[str | None], who: str
+) -> None:
+    """One entered of a dipole was answered as one of its antenna."""
+    print_change(
+        {
+            "id": 2,
+            "station": "CS003",
+            "paths": [{"antenna": 1, "dipole": one} for one in paths],
+            "kind": "step",
+            "size": None,
+            "at": {"value": "2015-09-03T12:00:00Z", "sigma_days": 0.0},
+            "ended_at": None,
+            "decision": "in_force",
+            "refitted": True,
+            "evidence": [],
+            "by": "ops",
+            "reason": "found by ops",
+        }
+    )
+    assert capsys.readouterr().out.startswith(f"2 {who}, step at 2015-09-03")
