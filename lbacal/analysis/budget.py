@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Self
@@ -39,24 +39,22 @@ STACKED = 5
 class ErrorBudget(Result):
     """The systematic errors of C: the terms that all curves share, that of single antennas, and what is left open."""
 
-    shared: Budget
-    terms: Sequence[BudgetTerm]
+    budget: Budget
 
     @classmethod
-    def of(cls, shared: Budget, terms: Sequence[BudgetTerm], origin: Origin = ()) -> Self:
+    def of(cls, budget: Budget, origin: Origin = ()) -> Self:
         """Make the result of these terms."""
-        nu = shared.frequency_mhz
+        nu, terms = budget.frequency_mhz, budget.terms
         of_gain = ["C/|H| has no error of the antenna gain."] if any(term.is_of_gain for term in terms) else []
         return cls(
-            title=f"budget {shared.digest}",
+            title=f"budget {budget.digest}",
             rows=_tabulate(nu, terms),
             notes=[_describe_best(nu, terms), *of_gain],
-            charts=partial(draw_budget, shared, terms),
+            charts=partial(draw_budget, budget),
             as_table=partial(_list_sigmas, nu, terms),
-            as_dict=lambda: {shared.digest: shared.as_dict()},
+            as_dict=lambda: {budget.digest: budget.as_dict()},
             origin=origin,
-            shared=shared,
-            terms=terms,
+            budget=budget,
         )
 
 
@@ -109,7 +107,7 @@ def budget(
     terms = [*shared.terms, *([] if of_antennas is None else [of_antennas])]
     members = sorted(set(zip(measured.station.tolist(), measured.antenna.tolist(), strict=True)))
     terms += [one.for_mean_of(members, terms[0].vectors) for one in read_open_terms(left_open, "left_open")]
-    return ErrorBudget.of(shared, terms, list_origin(measured.origin, simulation, measured.time_unix))
+    return ErrorBudget.of(replace(shared, terms=tuple(terms)), list_origin(measured.origin, simulation, measured.time_unix))
 
 
 # Its table, and its terms stacked against frequency.
@@ -142,10 +140,9 @@ def _describe_best(frequency_mhz: Floats, terms: Sequence[BudgetTerm]) -> str:
     )
 
 
-def draw_budget(shared: Budget, terms: Sequence[BudgetTerm]) -> list[Chart]:
+def draw_budget(budget: Budget) -> list[Chart]:
     """Charts of the terms against frequency, one a polarisation, and one of how large each is over the band."""
-    budget = Budget(shared.frequency_mhz, tuple(terms))
-    return [*(_stack_terms(budget, polarisation) for polarisation in terms[0].vectors), draw_terms(budget)]
+    return [*(_stack_terms(budget, polarisation) for polarisation in budget.terms[0].vectors), draw_terms(budget)]
 
 
 def _stack_terms(budget: Budget, polarisation: str) -> Chart:
