@@ -172,7 +172,7 @@ def overlap(
 ) -> list[Floats]:
     """Correlations of one template with all of each of some families, as in `correlate`, shape (template,) each.
 
-    They are scores: the one template stands in the place of the residuals.
+    They are scores: the one template stands in the place of the residuals. Those of templates that are free are 0.
     """
     conditions = model.station.conditions
     batches = batch_families(conditions, others, model.station.power[0].size)
@@ -186,8 +186,9 @@ def overlap(
         rows = np.arange(one.values.shape[1])
         templates = one.in_view(view, one.values, np.ones((1, rows.size)), rows)
         score = view.score(templates, batch[0].profiles, dual)[:, 0, 0]
-        information = view.inner(templates, batch[0].profiles)[0][:, 0, 0, 0]
-        found += list(score / (length * np.sqrt(np.maximum(information, SMALLEST_INFORMATION))))
+        information, whole = (one[:, 0, 0, 0] for one in view.inner(templates, batch[0].profiles))
+        is_left = information > np.maximum(SMALLEST_INFORMATION, SMALLEST_SHARE * whole)
+        found += list(score / (length * np.sqrt(np.where(is_left, information, np.inf))))
     return found
 
 

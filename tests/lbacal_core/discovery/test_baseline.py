@@ -81,6 +81,9 @@ def test_a_template_that_the_fit_leaves_free_is_no_trial(model):
     constant = replace(drift, profiles=np.ones_like(drift.profiles))
     (target,) = (target for target in list_targets(model.station) if target.scope == "station")
     np.testing.assert_allclose(correlate(model, [drift, constant], target), np.diag([1.0, 0.0]), atol=1e-12)
+    itself, free = overlap(model, cause, Template(), target, [drift, constant])
+    assert itself > 1 - 1e-6
+    assert free == 0.0
 
 
 def test_spectral_templates_times_time_profiles_are_the_signatures_of_all_templates(model):
