@@ -265,6 +265,7 @@ def _tell_finding(finding: Mapping[str, Any]) -> Iterator[str]:
         yield "    caution: the fit of all causes together has not converged"
     if rivals := tell_rivals(finding):
         yield f"    rivals, with their odds to it: {rivals}"
+    yield from (f"    nearly as likely: {one}" for one in finding["evidence"].get("sentences", ()))
 
 
 def _size(finding: Mapping[str, Any]) -> str:

@@ -140,11 +140,15 @@ class StationSearch:
         beyond = 2.0 * self.policy.likelier
         best = named[0] if named else None
         if said is None or (best and (said.gain < best.gain + beyond or self._is_alike(before, said, best))):
+            spoken = [(one.hypothesis, one.gain) for one in sentences]
+            if said is not None:
+                # Scores are of the first order: what the likeliest lost as it was fitted, the others lose as well.
+                lost = sentences[0].gain - said.gain
+                spoken = [(said.model.hypotheses[-1], said.gain), *((one, gain - lost) for one, gain in spoken[1:])]
             beside = [
-                replace(one, sentences=[other.hypothesis for other in sentences if one.gain - other.gain < beyond])
-                for one in named
+                replace(one, sentences=[other for other, gain in spoken if one.gain - gain < beyond]) for one in named
             ]
-            return _compare(beside, sentences[:1])
+            return _compare(beside, spoken[:1])
         self.again, self.impossible = None, None
         return _compare([said, *named], [])
 
@@ -220,10 +224,10 @@ class StationSearch:
         return gain_of(before, candidate.model.hypotheses[-1], candidate.score)
 
 
-def _compare(found: Sequence[Candidate], sentences: Sequence[ScoredSentence]) -> list[Candidate]:
-    """Candidates with their rivals, the likeliest first."""
+def _compare(found: Sequence[Candidate], sentences: Sequence[tuple[Hypothesis, float]]) -> list[Candidate]:
+    """Candidates with their rivals, the likeliest first; sentences come with what they gain beyond chance."""
     others = [(one.score.cause.identifier, one.score.target.label, one.gain) for one in found]
-    said = [(SENTENCE.identifier, one.target.label, one.gain) for one in sentences]
+    said = [(SENTENCE.identifier, one.target.label, gain) for one, gain in sentences]
     return [
         replace(
             one,

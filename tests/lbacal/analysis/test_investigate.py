@@ -169,10 +169,12 @@ def test_rivals_and_a_fit_that_has_not_converged_are_told_in_the_terminal_and_on
     finding["evidence"] |= {
         "is_converged": False,
         "rivals": [{"cause": "point_source", "target": "station", "delta_chi2": 9.2, "odds": 0.01}],
+        "sentences": ["The sky moves."],
     }
     told, page = "\n".join(_tell(content)), dict(tell_finding(finding))
     assert "caution: the fit of all causes together has not converged" in told
     assert "rivals, with their odds to it: point_source (station) 0.01 : 1" in told
+    assert "    nearly as likely: The sky moves." in told.splitlines()
     assert page["rivals, with their odds to it"] == "point_source (station) 0.01 : 1"
     assert "not converged" in page["caution"]
 

@@ -10,7 +10,7 @@ from lbacal_core.causes.axes import AXES
 from lbacal_core.causes.cause import Template
 from lbacal_core.discovery import findings, scan
 from lbacal_core.discovery.antennas import Comparison, smooth_departures
-from lbacal_core.discovery.findings import Finding, StationSearch
+from lbacal_core.discovery.findings import Candidate, Finding, StationSearch
 from lbacal_core.discovery.hypothesis import Hypothesis, Rival, Target
 from lbacal_core.discovery.noise import split_residuals
 from lbacal_core.discovery.policy import Policy
@@ -176,3 +176,30 @@ def test_the_path_that_shows_most_is_judged_as_one_of_16_in_one_of_two_tests(sta
     assert one.p_value == pytest.approx(2 * 16 * chi2.sf(one.gain, one.dof), rel=0.05, abs=0.0)
     together = along_utc(station, model, noise + 0.25 * tilt * np.linspace(-1, 1, 16)[:, None, None])
     assert len(together.places) == 16, "no path shows it alone"
+
+
+def test_a_sentence_that_was_fitted_and_lost_has_the_odds_of_its_fit(monkeypatch):
+    """By its score it was 10^11 times as likely as the cause that was named beside it."""
+
+    def candidate(cause, gain):
+        hypothesis = Hypothesis(SimpleNamespace(identifier=cause), Template(), STATION, 1.0)
+        model = SimpleNamespace(hypotheses=[hypothesis])
+        return Candidate(SimpleNamespace(cause=hypothesis.cause, target=STATION), model, gain)
+
+    likely = [
+        SimpleNamespace(gain=gain, target=STATION, hypothesis=Hypothesis(None, Template({"k": gain}), STATION, 1.0))
+        for gain in (580.0, 573.0, 560.0)
+    ]
+    search = StationSearch(SimpleNamespace(name="CS002"), [STATION], Policy(), 1, 0, lambda _: None)
+    search.hidden = []
+    monkeypatch.setattr(findings, "scan", lambda *_: [])
+    monkeypatch.setattr(search, "_score_sentences", lambda *_: likely)
+    monkeypatch.setattr(search, "_name", lambda *_: [candidate("lst_offset", 500.0)])
+    monkeypatch.setattr(search, "_say", lambda *_: candidate("sentence", 502.0))
+    (named,) = search.propose(SimpleNamespace(linear=None))
+    assert named.score.cause.identifier == "lst_offset"
+    assert [(one.cause, one.delta_chi2) for one in named.rivals] == [("sentence", -2.0)]
+    assert [one.template.parameters.get("k") for one in named.sentences] == [None, 573.0]  # 560 is 18 behind
+    monkeypatch.setattr(search, "_say", lambda *_: None)
+    (named,) = search.propose(SimpleNamespace(linear=None))
+    assert [one.delta_chi2 for one in named.rivals] == [-80.0]
