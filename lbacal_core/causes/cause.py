@@ -25,6 +25,8 @@ from lbacal_core.sky.table import read_at
 
 YEAR_S = 365.25 * 86_400.0
 TEMPERATURE, RAIN = "temperature_c", "rain_mm_h"
+REFERENCE_C = 10.0
+"""Temperature from which causes count, to which C belongs where a model follows it: near the mean of the Superterp."""
 FEWEST_KNOWN = 60
 """Smallest number of events on which a covariate must be known: as many as the fit of a path needs."""
 HOURS_BINS, FEWEST_IN_HOURS = 8, 4
@@ -68,8 +70,6 @@ class Conditions:
         D towards the Sun, shape (class, event, freq), 0 below the horizon.
     known_noise
         Electronic noise over the mean sky power, where it is known before the fit; None where the fit leaves it free.
-    reference_c
-        Temperature from which causes count; None for the mean of the data.
     noise
         The noise constants of the chain; None for N_LNA, N_RCU and N_ADC.
     """
@@ -92,7 +92,6 @@ class Conditions:
     sky_ratio: Mapping[str, Callable[[Floats], Floats]] = field(default_factory=dict)
     sun_response: Floats | None = None
     known_noise: float | None = None
-    reference_c: float | None = None
     noise: Intercepts | None = None
 
     @property
@@ -123,15 +122,14 @@ class Conditions:
         return is_known
 
     def warmth(self, delay_h: float = 0.0) -> Floats:
-        """(Temperature - its mean, or the reference) / 10 K, shape (event, 1); 0 where it is not known.
+        """(Temperature - `REFERENCE_C`) / 10 K, shape (event, 1); 0 where it is not known.
 
         A delayed temperature is the one measured now, moved by the fitted diurnal wave of the season: events are hours
         to days apart, so that the record itself cannot be shifted.
         """
         values = self.covariates[TEMPERATURE]
         is_known = np.isfinite(values)
-        reference = values[is_known].mean() if self.reference_c is None else self.reference_c
-        measured = (values - reference) / 10.0
+        measured = (values - REFERENCE_C) / 10.0
         if delay_h != 0.0:
             now, earlier = self._diurnal_waves(0.0), self._diurnal_waves(delay_h)
             amplitude = fit_least_squares(now[is_known], measured[is_known])

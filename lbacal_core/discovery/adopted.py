@@ -33,10 +33,6 @@ from lbacal_core.linear import invert_symmetric
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.spectra import Spectra
 
-REFERENCE_C = 10.0
-"""Temperature to which C belongs where a model follows temperature: near the mean of the Superterp."""
-
-
 @dataclass(frozen=True)
 class FittedSize:
     """The size of an adopted cause in some data.
@@ -125,11 +121,6 @@ def list_hypotheses(model: Model, station: Station) -> list[tuple[AdoptedCause, 
     return found
 
 
-def at_reference(station: Station) -> Station:
-    """The station with temperatures counted from the one to which C belongs."""
-    return replace(station, conditions=replace(station.conditions, reference_c=REFERENCE_C))
-
-
 def gather_adopted(spectra: Spectra, name: str, simulation: Simulation) -> list[Station]:
     """Lay out the spectra of a station that has adopted causes, if a path of its has enough events for a fit."""
     own = spectra.select(spectra.station == name)
@@ -156,7 +147,6 @@ def fit_adopted(
     named = list_hypotheses(model, station)
     if not named:
         return FittedSizes(fit_chain(station, modes), [], np.zeros((0, 0)))
-    station = at_reference(station)
     for _, one in named:
         station = station.on_events(one.cause.known_events(station.conditions, one.template))
     if station.is_used.sum() < MIN_EVENTS:

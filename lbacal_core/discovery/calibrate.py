@@ -33,7 +33,6 @@ from lbacal_core.curves.curves import CalibrationCurve, FitReport
 from lbacal_core.discovery.adopted import (
     FittedSize,
     Promise,
-    at_reference,
     describe_size,
     fit_adopted,
     gather_adopted,
@@ -302,7 +301,7 @@ def fit_causes(spectra: Recorded, simulation: Simulation) -> FittedCauses:
                 modes = None if known is None else model_modes(station, known)
                 fitted = fit_adopted(leave_out_deaf(station)[0], simulation.causes, modes)
                 if fitted.sizes:
-                    light = replace(at_reference(station), power=np.broadcast_to(1.0, station.power.shape))
+                    light = replace(station, power=np.broadcast_to(1.0, station.power.shape))
                     of_fit = light, fitted.model.baseline.terms, fitted.sizes, fitted.covariance
                     found.append(_OfStation(*of_fit, *station.find_places(apart)))
     return FittedCauses(spectra, simulation, form, found)

@@ -12,12 +12,12 @@ import numpy as np
 
 from lbacal_core.calibration.prediction import Acting, EventNoise, Prediction, curve_alone, predict_path
 from lbacal_core.calibration.singles import has_enough
-from lbacal_core.causes.cause import TEMPERATURE, Template
+from lbacal_core.causes.cause import REFERENCE_C, TEMPERATURE, Template
 from lbacal_core.causes.model import AdoptedCause
 from lbacal_core.causes.sky import sky_ratios
 from lbacal_core.curves.covariance import Budget
 from lbacal_core.curves.curves import CalibrationCurve
-from lbacal_core.discovery.adopted import REFERENCE_C, at_reference, list_hypotheses
+from lbacal_core.discovery.adopted import list_hypotheses
 from lbacal_core.discovery.hypothesis import Hypothesis
 from lbacal_core.discovery.refit import power_ratio
 from lbacal_core.discovery.station import Station, gather_stations
@@ -140,7 +140,7 @@ def _lay_out(
     ratios = simulation.made.get(("sky ratios", name), lambda: sky_ratios(there))
     given = simulation.sky_power.of_station(name)
     laid_out = replace(simulation, instrument=steady, given=given, is_own_sky=simulation.is_own_sky)
-    station = at_reference(gather_stations(spectra, laid_out, ratios)[0])
+    station = gather_stations(spectra, laid_out, ratios)[0]
     of_path = {(curve.antenna, curve.dipole): curve for curve in curves}
     paths = [of_path[key] for key in zip(station.antenna.tolist(), station.dipole.tolist(), strict=True)]
     each = [terms_of(curve, there, np.zeros(curve.frequency_mhz.size)) for curve in paths]

@@ -5,12 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lbacal_core.causes.cause import REFERENCE_C
 from lbacal_core.causes.model import PLAIN, AdoptedCause, Model
-from lbacal_core.discovery.adopted import REFERENCE_C, find_members, fit_adopted, list_hypotheses
+from lbacal_core.discovery.adopted import find_members, fit_adopted, list_hypotheses
 from lbacal_core.discovery.baseline import fit_baseline
-from lbacal_core.discovery.refit import power_ratio
+from lbacal_core.discovery.findings import change_of_c
+from lbacal_core.discovery.refit import fit_chain, power_ratio, refit
 from lbacal_core.discovery.station import gather_stations
 from lbacal_core.errors import BadInputError
+from lbacal_core.pipeline import calibrate
 from lbacal_twin.faults.hardware import GainTemperature
 from lbacal_twin.faults.sky import IonosphericAbsorption, LstOffset
 
@@ -120,13 +123,21 @@ def warm(spoil):
 FOLLOWS = AdoptedCause("gain_temperature", "CS002", "station", 0.05, 0.01, {"delay_h": 0.0})
 
 
-def test_temperatures_count_from_the_reference(warm, simulation):
-    """C belongs to one temperature, whatever the mean of the window was."""
-    (station,) = gather_stations(warm, simulation)
-    fitted = fit_adopted(station, Model((FOLLOWS,)))
-    warmth = fitted.model.station.conditions.warmth()[:, 0]
-    np.testing.assert_allclose(warmth * 10.0 + REFERENCE_C, station.conditions.covariates["temperature_c"])
-    assert fitted.sizes[0].value == pytest.approx(0.06, abs=4 * fitted.sizes[0].sigma)
+def test_a_finding_says_what_its_adoption_does_to_c(warm, simulation):
+    """C belongs to one temperature, whatever the mean of the window was: here 12 K above it."""
+    late = replace(warm, environment={**warm.environment, "temperature_c": warm.environment["temperature_c"] + 12.0})
+    (station,) = gather_stations(late, simulation)
+    recorded = station.conditions.covariates["temperature_c"]
+    np.testing.assert_allclose(station.conditions.warmth()[:, 0] * 10.0 + REFERENCE_C, recorded)
+    plain, fitted = fit_chain(station), fit_adopted(station, Model((FOLLOWS,)))
+    # the gain is less where C belongs, and as much of it for each kelvin a larger part
+    assert fitted.sizes[0].value == pytest.approx(0.06 / (1.0 - 0.06 * 1.2), abs=4 * fitted.sizes[0].sigma)
+    (effect,) = fitted.model.hypotheses
+    change = change_of_c(plain, refit(plain, replace(effect, size=0.0)), effect.target)
+    curves = [calibrate(late, simulation.with_causes(model)).curves for model in (PLAIN, Model((FOLLOWS,)))]
+    adopted = np.array([new.c / old.c for old, new in zip(*curves, strict=True)]) - 1.0
+    assert np.median(adopted) == pytest.approx(0.5 * 0.06 * (recorded.mean() - REFERENCE_C) / 10.0, abs=0.01)
+    assert np.median(change) == pytest.approx(np.median(adopted), abs=0.002)
 
 
 def test_events_whose_temperature_is_unknown_are_left_out(warm, simulation):
