@@ -23,7 +23,7 @@ from lbacal_core.audit.antennas import compare_paths
 from lbacal_core.audit.audit import AuditReport
 from lbacal_core.audit.audit import audit as audit_spectra
 from lbacal_core.audit.station import AuditedStation
-from lbacal_core.audit.verdict import WRONG, Line
+from lbacal_core.audit.verdict import UNDECIDED, WRONG, Line
 from lbacal_core.readers.correlator import is_correlator_file
 from lbacal_core.readers.statistics import is_statistics
 from lbacal_core.spectra.spectra import Spectra, read_spectra
@@ -82,11 +82,13 @@ def audit(
     tell(f"audit {len(spectra)} spectra")
     report = audit_spectra(spectra, core, sky, antenna)
     wrong = sum(line.verdict == WRONG for line in report.lines)
+    doubts = sorted({one.check for one in report.lines if one.verdict == UNDECIDED and (one.log_odds or 0.0) > 0})
+    found = f"{wrong} wrong" if wrong else "nothing wrong"
     rows = [(line.verdict, line.check, line.station, f"{line.sentence}{_odds(line)}") for line in report.lines]
     models = {"instrument": core.name, "sky": sky or "of the instrument", "antenna": antenna or "of the instrument"}
     origin = [*list_origin(name, time_unix=spectra.time_unix), *models.items()]
     return Audit(
-        title=f"{name}: {f'{wrong} wrong' if wrong else 'nothing wrong'}",
+        title=f"{name}: {found}{f' for certain, but doubtful: ' + ', '.join(doubts) if doubts else ''}",
         rows=[COLUMNS, *rows],
         words=len(COLUMNS),
         notes=[

@@ -172,7 +172,7 @@ class QuickAudit:
     def sentence(self) -> str:
         """One sentence for the provenance."""
         if self.report is None:
-            return f"none: no station has {FEWEST} antennas to compare"
+            return f"none: no station has {FEWEST} antennas to compare; `lbacal audit` asks the sky"
         wrong = [line for line in self.report.lines if line.verdict == WRONG]
         antennas = sum(station.antennas.size for station in self.report.stations)
         if not wrong:

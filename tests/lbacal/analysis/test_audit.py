@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -39,3 +40,11 @@ def test_an_audit_has_a_row_a_line_and_shows_itself_in_a_notebook(audited: Audit
     assert len(audited.table) == len(audited.report.lines)
     assert "antenna 3 X is dead" in audited._repr_html_()
     assert audited.table["value"].dtype == float
+
+
+def test_what_is_doubtful_is_not_called_nothing_wrong() -> None:
+    """One antenna in decibels: its cable cannot be compared with another, and a fit would be off by three."""
+    spectra = lbacal.simulate("lofar-superterp", events=120, antennas=1)
+    in_db = replace(spectra, power=10.0 * np.log10(spectra.power) + 60.0)
+    assert lbacal.audit(spectra, "lofar-superterp").title.endswith(": nothing wrong")
+    assert lbacal.audit(in_db, "lofar-superterp").title.endswith(": nothing wrong for certain, but doubtful: unit")
