@@ -241,8 +241,9 @@ class Model:
                 at = f" on {write_instant(one.parameters[INSTANT])[:10]}" if INSTANT in one.parameters else ""
                 expected = (
                     "a cause that does not follow the date: with one that does, one C would stand for a time in which "
-                    "C changes; it is a change: put it in force by `lbacal changes` or by `since` of the antenna in "
-                    "the instrument file; windows are cut at a step, and C follows a drift"
+                    "C changes; it is a change: put it in force by `lbacal changes` in the service, where windows are "
+                    "cut at a step and C follows a drift; from files fit before and after it (--until, --since), and "
+                    "adopt other findings one by one (R.json#n)"
                 )
                 raise BadInputError(place, expected, f"{one.cause}{at} in {one.target} of {one.station}")
 

@@ -228,6 +228,7 @@ class FittedCauses:
         """The model in one line, with the sizes in these data."""
         fitted = [
             f"{s.adopted.cause} in {s.adopted.target} of {s.adopted.station} {s.value:.4g} ± {s.sigma:.2g}"
+            + f" here, adopted with {s.adopted.size:.4g} ± {s.adopted.sigma:.2g}" * s.is_fitted
             for s in self.sizes
         ]
         idle = len(self.model.causes) - len(fitted)
