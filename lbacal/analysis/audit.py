@@ -88,7 +88,7 @@ def audit(
     models = {"instrument": core.name, "sky": sky or "of the instrument", "antenna": antenna or "of the instrument"}
     origin = [*list_origin(name, time_unix=spectra.time_unix), *models.items()]
     return Audit(
-        title=f"{name}: {found}{f' for certain, but doubtful: ' + ', '.join(doubts) if doubts else ''}",
+        title=f"{name}: {found}{' for certain, but doubtful: ' + ', '.join(doubts) if doubts else ''}",
         rows=[COLUMNS, *rows],
         words=len(COLUMNS),
         notes=[

@@ -107,7 +107,9 @@ def budget(
     terms = [*shared.terms, *([] if of_antennas is None else [of_antennas])]
     members = sorted(set(zip(measured.station.tolist(), measured.antenna.tolist(), strict=True)))
     terms += [one.for_mean_of(members, terms[0].vectors) for one in read_open_terms(left_open, "left_open")]
-    return ErrorBudget.of(replace(shared, terms=tuple(terms)), list_origin(measured.origin, simulation, measured.time_unix))
+    return ErrorBudget.of(
+        replace(shared, terms=tuple(terms)), list_origin(measured.origin, simulation, measured.time_unix)
+    )
 
 
 # Its table, and its terms stacked against frequency.

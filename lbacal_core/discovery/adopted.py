@@ -33,6 +33,7 @@ from lbacal_core.linear import invert_symmetric
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.spectra import Spectra
 
+
 @dataclass(frozen=True)
 class FittedSize:
     """The size of an adopted cause in some data.

@@ -141,6 +141,9 @@ class ResidualStructure:
     amounts
         Amount of the structure in each path, of that in the path which shows most, with its error, where all show it
         together.
+    elsewhere
+        Axis, as causes call it, of structure that paths show beside that of the means, or the means beside that of
+        paths; None where there is none.
     """
 
     axis: Axis | None
@@ -154,6 +157,7 @@ class ResidualStructure:
     term: Floats | None = None
     coefficients: Floats | None = None
     amounts: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    elsewhere: str | None = None
 
     @property
     def axis_name(self) -> str:
@@ -190,8 +194,15 @@ def find_structure(
             continue
         told = _tell(model, one, axes, chance if again is None else min(again, least))
         if told.held_out_gain is None or told.held_out_gain > 0:
-            return told
+            return replace(told, elsewhere=_left_apart(one, found, alpha))
     return None if again is None else _tell(model, strongest, axes, min(again, least))
+
+
+def _left_apart(one: _Candidate, found: Sequence[_Candidate], alpha: float) -> str | None:
+    """Axis, as causes call it, of the strongest structure in paths beside that of the means, or the other way round."""
+    apart = (other for other in found if (other.target == STATION) != (one.target == STATION))
+    left = (other.axis.along for other in apart if other.axis and p_of_best(other.p_value, len(found)) < alpha)
+    return next(left, None)
 
 
 def _expected_first(found: Sequence[_Candidate], along: Collection[str], alpha: float) -> list[_Candidate]:
@@ -251,17 +262,18 @@ def _tell(model: LinearModel, one: _Candidate, axes: Mapping[Axis, Floats], chan
     )
 
 
-def structure_along(model: LinearModel, name: str, chance: float) -> ResidualStructure | None:
+def structure_along(
+    model: LinearModel, rng: np.random.Generator, alpha: float, name: str, chance: float
+) -> ResidualStructure | None:
     """The structure of the means along an axis, by its name in a report, that has a probability known otherwise.
 
     None where these data do not have the axis.
     """
-    conditions = model.station.conditions
-    axis = next((one for one in list_axes(conditions) if name in (one.name, one.column)), None)
-    basis = None if axis is None else axis.basis(conditions)
-    if axis is None or basis is None:
-        return None
-    return _tell(model, _in_means(model.residuals.levels, _see_in_means(model), axis, basis), {axis: basis}, chance)
+    found, axes = _try_all(model, rng)
+    for one in found:
+        if one.axis is not None and one.target == STATION and name in (one.axis.name, one.axis.column):
+            return replace(_tell(model, one, axes, chance), elsewhere=_left_apart(one, found, alpha))
+    return None
 
 
 @dataclass(frozen=True)

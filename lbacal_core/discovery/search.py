@@ -185,12 +185,10 @@ def _name_structure(
     named = Grown(_with(first, findings), [grown.others[number] for number in kept], findings)
     best = max(said, key=lambda one: one.chi2_before - one.chi2_after)
     chance, course = best.score.p_value, parts_of(best.hypothesis.template)[2]
-    structure = None
+    linear, alpha, structure = named.last.linear, search.policy.structure_alpha / search.stations, None
     if best.hypothesis.target.scope == STATION:
-        structure = structure_along(named.last.linear, axis_of(course), chance)
-    return named, structure or find_structure(
-        named.last.linear, rng, search.policy.structure_alpha / search.stations, chance
-    )
+        structure = structure_along(linear, rng, alpha, axis_of(course), chance)
+    return named, structure or find_structure(linear, rng, alpha, chance)
 
 
 def _find_left(grown: Grown, search: StationSearch, rng: np.random.Generator) -> ResidualStructure | None:
@@ -247,9 +245,10 @@ def _lives_there(one: Hypothesis, structure: ResidualStructure, conditions: Cond
     both: structure that differs from path to path is no effect on a group alone.
     """
     axes = _axes_of(one.cause, one.template, conditions)
-    in_means, in_paths = one.target.is_wide, one.target.scope != STATION
-    is_seen_there = in_means if structure.target == STATION else in_paths
-    return structure.axis is not None and structure.axis.along in axes and is_seen_there
+    shown = one.target.is_wide, one.target.scope != STATION
+    here, elsewhere = shown if structure.target == STATION else shown[::-1]
+    lives_here = structure.axis is not None and structure.axis.along in axes and here
+    return lives_here or (structure.elsewhere in axes and elsewhere)
 
 
 def _axes_of(cause: Cause, template: Template, conditions: Conditions) -> set[str]:

@@ -92,6 +92,10 @@ def test_a_finding_on_a_group_is_seen_in_the_means_and_in_paths(world, scope, in
         for axis, lives in (("lst", is_seen), ("rain", False)):
             left = ResidualStructure(axis_named(axis), target, 1e-6, 117.0, 40, 13.0, np.ones(1), None)
             assert _lives_there(found, left, conditions) == lives
+            # what paths show beside the means, or the means beside paths
+            beside = replace(left, axis=axis_named("rain"), elsewhere=axis_named(axis).along)
+            is_seen_beside = in_paths if target == "station" else in_means
+            assert _lives_there(found, beside, conditions) == (is_seen_beside and axis == "lst")
 
 
 def test_antennas_are_compared_beside_the_findings_that_stand(world):
