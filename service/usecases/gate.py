@@ -24,7 +24,7 @@ from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import BadInputError, write_change, write_percent
 from lbacal_core.grids import Floats, require_same_grid
-from service.storage.changes import Cut
+from service.storage.changes import SAME_DATE, Cut
 from service.storage.ledger import LedgerStore
 from service.storage.models import ModelChange
 from service.storage.versions import OF_OTHERS, Version, mean_over_band
@@ -172,6 +172,24 @@ def drop_noise(report: dict[str, Any]) -> dict[str, Any]:
     return report
 
 
+def split_by_size(change: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Split a change into those of one size: both polarisations of an antenna are one, and others whose sizes agree.
+
+    The shape is that of the most significant member, in the first; the others have none.
+    """
+    groups: list[list[Mapping[str, Any]]] = []
+    for member in change["members"]:
+        own = next((group for group in groups if _is_of_one_size(group[0], member)), None)
+        groups.append([member]) if own is None else own.append(member)
+    first, *others = ({**change, **group[0], "members": group} for group in groups)
+    return [first, *({**one, "shape": {}} for one in others)]
+
+
+def _is_of_one_size(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    reach = SAME_DATE * math.hypot(one["sigma"], other["sigma"])
+    return bool(one["antenna"] == other["antenna"] or abs(one["size"] - other["size"]) <= reach)
+
+
 def name_members(members: Sequence[Mapping[str, Any]], most: int) -> str:
     """Name the members of a station that changed: paths, and polarisations as a whole."""
     named = [
@@ -201,7 +219,7 @@ def _rank_shapes(of_mean: float, shape: Shape, frequency_mhz: Floats) -> list[_P
         _Part(abs(one["value"]) / one["sigma"], _tell_shape(name, one["value"], one["sigma"], frequency_mhz))
         for name, one in shape.items()
     ]
-    most = max(of_mean, *(part.significance for part in found))
+    most = max([of_mean, *(part.significance for part in found)])
     least = min(most, max(PLAIN, LEAST_SHARE * most))
     told = [part for part in found if part.significance >= least]
     return sorted(told, key=lambda part: -part.significance)

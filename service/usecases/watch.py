@@ -26,21 +26,11 @@ from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import DRIFT_VERSION, MODEL_VERSION, hash_content
 from service.storage.alarms import SLOPE, STEP, News
 from service.storage.changes import DRIFT as BY_DRIFT
-from service.storage.changes import (
-    LARGEST_DATE_ERROR_US,
-    PERSON,
-    RAMP,
-    RECORD,
-    SAME_DATE,
-    SEASON,
-    Change,
-    Evidence,
-    KeptChange,
-)
+from service.storage.changes import LARGEST_DATE_ERROR_US, PERSON, RAMP, RECORD, SEASON, Change, Evidence, KeptChange
 from service.storage.database import Database, Stores
 from service.storage.jobs import Part
 from service.storage.sums import DRIFT, Sums
-from service.usecases.gate import PLAIN, drop_noise, name_members, tell_change
+from service.usecases.gate import PLAIN, drop_noise, name_members, split_by_size, tell_change
 
 if TYPE_CHECKING:
     from lbacal_core.drift.follow import History
@@ -210,16 +200,13 @@ def _nearest(own: Change, others: Iterable[Change]) -> Change | None:
 def read_changes(told: Mapping[str, Any]) -> list[Change]:
     """Read steps at one date as changes: one of each size; a station's median stands for all its paths."""
     date, sigma = round(told["date_unix"] * SECOND_US), round(told["date_sigma_days"] * DAY_US)
-    groups: list[list[Mapping[str, Any]]] = []
-    for member in told["members"]:
-        own = next((group for group in groups if told["is_known"] or _is_of_one_size(group[0], member)), None)
-        groups.append([member]) if own is None else own.append(member)
-    found = [
-        Change(told["station"], _paths_of(group), STEP, date, sigma, group[0]["size"], group[0]["sigma"])
-        for group in groups
-    ]
-    # the shape of a report is that of its most significant member
-    return [replace(found[0], **_plain_shape(told["shape"])), *found[1:]]
+    return [
+        Change(
+            told["station"], _paths_of(one["members"]), STEP, date, sigma, one["size"], one["sigma"],
+            **_plain_shape(one["shape"]),
+        )
+        for one in ([told] if told["is_known"] else split_by_size(told))
+    ]  # fmt: skip
 
 
 def read_slow(told: Mapping[str, Any], first_unix: float) -> Iterator[tuple[Change, float]]:
@@ -251,12 +238,6 @@ def _paths_of(members: Sequence[Mapping[str, Any]]) -> tuple[tuple[int, str | No
     return () if is_whole else tuple((one["antenna"], one["dipole"]) for one in members)
 
 
-def _is_of_one_size(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-    """Whether two members are one change: both polarisations of an antenna are, and others whose sizes agree."""
-    reach = SAME_DATE * math.hypot(one["sigma"], other["sigma"])
-    return bool(one["antenna"] == other["antenna"] or abs(one["size"] - other["size"]) <= reach)
-
-
 def tell_news(report: Mapping[str, Any], frequency_mhz: Floats, *, cuts_windows: bool) -> Iterator[News]:
     """The news of a report: changes that nobody knew of, slopes, and a trend of the whole."""
     for change in report["changes"]:
@@ -265,12 +246,16 @@ def tell_news(report: Mapping[str, Any], frequency_mhz: Floats, *, cuts_windows:
         first, *others = change["members"]
         who = name_path(change["station"], first["antenna"], first["dipole"])
         if others:
-            named = name_members(change["members"], MEMBERS_NAMED)
-            who = f"{change['station']}, {len(change['members'])} together ({named})"
+            who = f"{change['station']}, {len(change['members'])} together"
+        amounts = [
+            tell_change(one["size"], one["sigma"], one["shape"], frequency_mhz)
+            + (f" ({name_members(one['members'], MEMBERS_NAMED)})" if others else "")
+            for one in split_by_size(change)
+        ]
         since = round(change["date_unix"] * SECOND_US)
         error = round(change["date_sigma_days"] * DAY_US)
         sentence = (
-            f"{who}: C changed by {tell_change(change['size'], change['sigma'], change['shape'], frequency_mhz)} "
+            f"{who}: C changed by {', by '.join(amounts)} "
             f"on {format_instant(since)[:10]} ± {change['date_sigma_days']:.1f} days"
         )
         is_cut = cuts_windows and error <= LARGEST_DATE_ERROR_US

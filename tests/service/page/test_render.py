@@ -12,6 +12,7 @@ import service.page
 from lbacal.pages.chart import Chart
 from service.page.render import Figure, load_assets, render_page, render_part
 from service.storage.models import Investigation
+from service.usecases.drift import Step
 
 REPORT: dict[str, Any] = {"verdict": "consistent", "findings": [], "unexplained": None, "unidentifiable": []}
 ADOPTED = {
@@ -46,6 +47,22 @@ def test_the_page_of_the_drift_states_the_ageing_of_the_array_with_its_error(slo
     assert said in page
     assert "+0.10 ± 2.00 % at 30 MHz, +0.40 ± 0.90 % at 55 MHz, +1.00 ± 1.50 % at 80 MHz a year" in page
     assert "arXiv 2410.13591" in page
+
+
+def test_the_table_of_steps_gave_the_size_of_one_antenna_for_all() -> None:
+    members = [
+        {"antenna": antenna, "dipole": "X", "size": size, "sigma": 0.004, "significance": 9.0}
+        for antenna, size in ((0, 0.5325), (4, -0.352))
+    ]
+    shape = {"tilt": {"value": 0.2, "sigma": 0.004}}
+    change = {"station": "CS002", "is_known": False, "date_unix": 0.0, "date_sigma_days": 1.0, "shape": shape}
+    steps = [Step({**change, "members": members, **members[0]}, None)]
+    content = {"trends": [], "threshold": 5.0, "frequency_mhz": [30.0, 80.0], "points": []}
+    page = render_part("drift_main.html", figure=Figure(EMPTY, ""), steps=steps, **content)
+    rows = [row for row in page.split("<tr>") if "CS002" in row]
+    assert [("antenna 0 X" in row, "+53.25 %" in row, "tilt" in row) for row in rows] == [(True,) * 3, (False,) * 3]
+    assert "antenna 4 X" in rows[1]
+    assert "-35.20 %" in rows[1]
 
 
 VENDOR = Path(service.page.__file__).parent / "static" / "vendor"

@@ -406,7 +406,8 @@ def test_of_antennas_that_changed_together_each_change_follows_and_a_part_moves_
 def test_what_steps_together_by_different_sizes_is_several_changes() -> None:
     """The median of four paths followed one, whose size was taken out of another antenna too: the mean was 6 % off."""
     told = {
-        "station": "CS002", "is_known": False, "date_unix": STEPPED / 1e6, "date_sigma_days": 1.0,
+        "station": "CS002", "is_known": False, "date_unix": STEPPED / 1e6, "date_sigma_days": 1.0, "size": 0.21,
+        "sigma": 0.002,
         "shape": {"tilt": {"value": 0.04, "sigma": 0.005}, "curvature": {"value": 0.01, "sigma": 0.005}},
         "members": [
             {"antenna": antenna, "dipole": dipole, "size": size, "sigma": 0.002}
@@ -419,6 +420,21 @@ def test_what_steps_together_by_different_sizes_is_several_changes() -> None:
     antenna, others = ((0, "X"), (0, "Y")), ((2, "Y"), (3, "Y"))
     assert found == [(antenna, 0.21, 0.04, None), (others, -0.01, None, None), ((), 0.1, None, None)]
     assert len(read_changes({**told, "is_known": True})) == 1
+
+
+def test_an_alarm_of_antennas_whose_labels_were_exchanged_gave_the_size_of_one_for_both() -> None:
+    flat, size = {"value": 0.001, "sigma": 0.002}, {0: 0.5325, 4: -0.352}
+    change = {
+        "station": "CS002", "is_known": False, "date_unix": STEPPED / 1e6, "date_sigma_days": 1.0, "size": 0.5325,
+        "sigma": 0.0044, "shape": {"tilt": {"value": 0.2, "sigma": 0.004}, "curvature": flat},
+        "members": [
+            {"antenna": antenna, "dipole": dipole, "size": size[antenna], "sigma": 0.0044}
+            for antenna in size for dipole in "XY"
+        ],
+    }  # fmt: skip
+    (news,) = tell_news({"changes": [change], "slopes": [], "trends": {}}, np.array([30.0, 80.0]), cuts_windows=True)
+    assert "CS002, 4 together: C changed by +53.25 ± 0.44 % in the mean over the band and by a tilt" in news.sentence
+    assert "(antenna 0 X, antenna 0 Y), by -35.20 ± 0.44 % (antenna 4 X, antenna 4 Y) on 2015-04-11" in news.sentence
 
 
 def test_an_alarm_of_a_step_along_frequency_says_where() -> None:
