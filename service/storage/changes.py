@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -131,12 +131,12 @@ class Change:
         """Whether all antennas of another one are among its own."""
         return set(other.antennas) <= set(self.antennas)
 
-    def as_found(self, other: Change) -> Change:
-        """Take date and size of another report of it, and the dipoles of its antennas which that adds."""
+    def as_found(self, other: Change, gone: Collection[tuple[int, str | None]] = ()) -> Change:
+        """Take date and size of another report of it, and the dipoles of its antennas which that adds, without some."""
         more = [
             path for path in other.paths if path[0] in self.antennas and {path, (path[0], None)}.isdisjoint(self.paths)
         ]
-        return replace(other, paths=(*self.paths, *more))
+        return replace(other, paths=(*(path for path in self.paths if path not in gone), *more))
 
     def as_told(self, other: Change) -> Change:
         """Take what a person tells of it: a date beyond a day of its own, and all else where a size is given."""

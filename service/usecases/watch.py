@@ -110,13 +110,19 @@ def assemble_history(years: Iterable[Sums], changes: Mapping[tuple[str, int], Se
     return History(station, antenna.astype(np.int64), dipole, time_unix, ln_c, known)
 
 
-Measured = set[tuple[str | None, int, str | None]]
-"""Station, antenna and dipole of paths that drift has events of; None for any dipole."""
+Measured = Mapping[tuple[str | None, int, str | None], tuple[float, float]]
+"""Paths that drift has events of (dipole None: any), with the instants of the first and the last."""
 
 
 def _list_measured(history: History) -> Measured:
     paths = zip(history.station.tolist(), history.antenna.tolist(), history.dipole.tolist(), strict=True)
-    return {(station, antenna, dipole) for station, antenna, letter in paths for dipole in (letter, None)}
+    is_known, instants = np.isfinite(history.ln_c[..., 0]), history.time_unix * SECOND_US
+    first = np.where(is_known, instants, np.inf).min(axis=1).tolist()
+    spans = list(zip(first, np.where(is_known, instants, -np.inf).max(axis=1).tolist(), strict=True))
+    return {
+        (station, antenna, dipole): span
+        for (station, antenna, letter), span in zip(paths, spans, strict=True) for dipole in (letter, None)
+    }  # fmt: skip
 
 
 def settle_changes(stores: Stores, report: Mapping[str, Any], measured: Measured, now: Instant) -> None:
@@ -151,7 +157,7 @@ def settle_changes(stores: Stores, report: Mapping[str, Any], measured: Measured
             stores.changes.note(change, Evidence(RECORD, "", None, now))
         else:
             stores.changes.end(kept.number, RECORD, now)
-    for number, change, significance in find_moved(stores.changes.kept(), alike):
+    for number, change, significance in find_moved(stores.changes.kept(), alike, measured):
         stores.changes.move(number, change, Evidence(BY_DRIFT, "", significance, now))
 
 
@@ -159,11 +165,14 @@ Alike = Mapping[tuple[str | None, str], Mapping[Change, float]]
 """Changes by station and kind, with their significance."""
 
 
-def find_moved(on_record: Sequence[KeptChange], found: Alike) -> Iterator[tuple[int, Change, float]]:
-    """Find the changes that later events give another date or size, or the other dipole, by their numbers.
+def find_moved(
+    on_record: Sequence[KeptChange], found: Alike, measured: Measured
+) -> Iterator[tuple[int, Change, float]]:
+    """Find the changes that later events give another date, size or dipoles of their antennas, by their numbers.
 
     With what these give them: of each that lasts, the nearest found of all its antennas, if no other on record is
-    nearer to that. One of which a person has spoken stays, but for a size that was left open.
+    nearer to that. One of which a person has spoken stays, but for a size that was left open. A dipole that drift alone
+    had named leaves one in which it is no longer found.
     """
     lasting = defaultdict[tuple[str | None, str], list[Change]](list)
     for kept in on_record:
@@ -174,7 +183,7 @@ def find_moved(on_record: Sequence[KeptChange], found: Alike) -> Iterator[tuple[
         if kept.ended is not None or not all(by.leaves_size_open for by in spoken):
             continue
         of_kind = found.get((own.station, own.kind), {})
-        same = filter(own.is_same, of_kind)
+        same = [one for one in of_kind if own.is_same(one)]
         nearest = _nearest(own, [one for one in same if one.has_all_of(own)])
         if nearest is None:
             continue
@@ -183,13 +192,23 @@ def find_moved(on_record: Sequence[KeptChange], found: Alike) -> Iterator[tuple[
             if own.is_away_from(sized):
                 yield kept.number, sized, of_kind[nearest]
             continue
-        told = own.as_found(nearest)
+        told = own.as_found(nearest, _find_gone(kept, same, measured))
         if told.paths == own.paths and not own.is_away_from(nearest):
             continue
-        same = filter(nearest.is_same, lasting[own.station, own.kind])
-        rivals = [one for one in same if not own.paths or set(one.antennas) & set(own.antennas)]
+        like = filter(nearest.is_same, lasting[own.station, own.kind])
+        rivals = [one for one in like if not own.paths or set(one.antennas) & set(own.antennas)]
         if _nearest(nearest, rivals) == own:
             yield kept.number, told, of_kind[nearest]
+
+
+def _find_gone(kept: KeptChange, found: Sequence[Change], measured: Measured) -> list[tuple[int, str | None]]:
+    """The dipoles of a change that drift alone had named, and no longer finds though it has events before and after."""
+    own = kept.change
+    if kept.evidence[0].source != BY_DRIFT or any(by.source in (PERSON, RECORD) for by in kept.evidence):
+        return []
+    spans = {path: measured.get((own.station, *path), (math.inf, -math.inf)) for path in own.paths}
+    has_both_sides = [path for path, (first, last) in spans.items() if first < own.date <= last]
+    return [path for path in has_both_sides if not any(path in one.paths for one in found)]
 
 
 def _nearest(own: Change, others: Iterable[Change]) -> Change | None:
