@@ -139,8 +139,7 @@ class Arrivals:
         rows = self._connection.execute(of_events).all() if key else ()
         levels: dict[tuple[str, int, str], list[float]] = {}
         if rows:
-            power = np.frombuffer(b"".join(row.power for row in rows), POWER).reshape(len(rows), -1)
-            usual = measure_level(power) - np.log([row.far or 1.0 for row in rows])
+            usual = _levels_of(rows) - np.log([row.far or 1.0 for row in rows])
             for row, level in zip(rows, usual.tolist(), strict=True):
                 levels.setdefault(key[row.path], []).append(level)
         return levels
@@ -288,6 +287,11 @@ def _count(connection: Connection, spectra: Mapping[OfStation, int], waiting: Ma
     sums = {name: event_station.c[name] + statement.excluded[name] for name in ("spectra", "waiting")}
     if rows:
         connection.execute(statement.on_conflict_do_update(index_elements=["event", "station"], set_=sums), rows)
+
+
+def _levels_of(rows: Sequence[Any]) -> Floats:
+    """The levels of stored spectra, shape (row,)."""
+    return measure_level(np.array([np.frombuffer(row.power, POWER) for row in rows])) if rows else np.empty(0)
 
 
 FAR_LEVEL = "far_level"
@@ -592,6 +596,25 @@ class SpectraStore(Store):
             ends = (self._connection.execute(some.order_by(by)) for by in (event.c.time_us, event.c.time_us.desc()))
             is_far = {(time_us, name): far is not None for rows in ends for time_us, name, far in rows}
             yield number, [time_us for time_us, _ in sorted(is_far)], np.array([is_far[one] for one in sorted(is_far)])
+
+    def waiting_beside(self) -> Iterator[tuple[int, list[Instant], Floats, Floats]]:
+        """Yield the spectra that wait, and what is in fits beside them: path, times, levels of both, shape (row,).
+
+        What waits between the same `EVENTS_BESIDE` events before and after comes together.
+        """
+        held = select(spectrum, event.c.time_us.label("at")).join(event).where(IS_FAR)
+        rows = self._connection.execute(held.order_by(spectrum.c.path, event.c.time_us)).all()
+        for number, of_path in groupby(rows, key=lambda row: row.path):
+            rest = list(of_path)
+            while rest:
+                took_part = select(spectrum.c.power, event.c.time_us).join(event).limit(EVENTS_BESIDE)
+                took_part = took_part.where(spectrum.c.path == number, spectrum.c.far.is_(None), event.c.flag.is_(None))
+                before = took_part.where(event.c.time_us <= rest[0].at).order_by(event.c.time_us.desc())
+                after = took_part.where(event.c.time_us > rest[0].at).order_by(event.c.time_us)
+                earlier, later = (self._connection.execute(one).all() for one in (before, after))
+                here = [row for row in rest if not later or row.at < later[0].time_us]
+                yield number, [row.time_us for row in here], _levels_of(here), _levels_of([*earlier, *later])
+                rest = rest[len(here) :]
 
     def end_waiting(self, number: int, times: Sequence[Instant]) -> None:
         """Spectra of a path take part in fits from now on."""

@@ -209,12 +209,20 @@ def warn_of_far(spectra: Spectra, far: Floats) -> list[str]:
 
 
 def judge_far(stores: Stores) -> int:
-    """Let those that wait into fits where they last, and count them: the path changed, and drift finds that."""
+    """Let those that wait into fits where they last, and count them: the path changed, and drift finds that.
+
+    As well as those that are near to what has come since, which had been held against another year or another state.
+    """
     judged = 0
     for path, times, is_waiting in list(stores.spectra.waiting()):
         lasting = [times[k] for k in np.flatnonzero(find_lasting(is_waiting))]
         stores.spectra.end_waiting(path, lasting)
         judged += len(lasting)
+    for path, times, levels, beside in list(stores.spectra.waiting_beside()):
+        if len(beside) >= FEWEST_BESIDE:
+            near = [times[k] for k in np.flatnonzero(np.abs(levels - median(beside)) <= FAR)]
+            stores.spectra.end_waiting(path, near)
+            judged += len(near)
     return judged
 
 

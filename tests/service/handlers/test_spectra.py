@@ -443,6 +443,19 @@ def test_what_does_not_belong_is_stored_said_and_in_no_fit(client: TestClient, f
     assert (flag.json()["waiting"], usable(factory)) == (0, 61)
 
 
+def test_what_was_held_against_another_state_waited_for_ever(client: TestClient, factory: Factory) -> None:
+    """Labels were exchanged: the first event behind that was at the peak of the day, and those since have its level."""
+    client.post("/v1/spectra", json=campaign_of(0, 40))
+    assert client.post("/v1/spectra", json=campaign_of(58, 1, 2.2)).json()["warnings"]
+    look_for_due_work(factory)
+    assert usable(factory) == 40, "nothing has come beside it"
+    client.post("/v1/spectra", json=campaign_of(59, 60, 2.2))
+    client.post("/v1/spectra", json=campaign_of(119, 1, 30.0))
+    look_for_due_work(factory)
+    assert usable(factory) == 101
+    assert [one["event_id"] for one in client.get("/v1/events?flag=far_level").json()["events"]] == ["d119"]
+
+
 @pytest.mark.parametrize("times", [0.8, 1.01, 1.2, 1.4])
 def test_no_step_that_electronics_make_is_warned_of(client: TestClient, factory: Factory, times: float) -> None:
     client.post("/v1/spectra", json=campaign_of(0, 8))

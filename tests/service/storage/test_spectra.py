@@ -240,8 +240,9 @@ def test_what_waits_is_judged_by_the_ends_of_a_path_as_by_all_of_it(factory: Fac
     is_far = np.array([one == "x" for one in came])
     rows = [(f"e{k}", START + 3600.0 * k, "CS001", antenna, "X") for k in range(len(came)) for antenna in range(2)]
     far = np.where(np.repeat(is_far, 2) & (np.arange(len(rows)) % 2 == 0), 30.0, np.nan)
+    spectra = flat_spectra(*rows)
     with factory.database.write() as stores:
-        stores.spectra.add(flat_spectra(*rows), far)
+        stores.spectra.add(replace(spectra, power=spectra.power * np.nan_to_num(far, nan=1.0)[:, None]), far)
         judged = judge_far(stores)
     assert judged == find_lasting(is_far).sum()
     rng = np.random.default_rng(int(is_far.sum()))
