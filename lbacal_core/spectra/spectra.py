@@ -56,6 +56,14 @@ Rows = NDArray[np.bool_]
 Result = TypeVar("Result")
 
 
+def span_of_record(now_unix: float) -> tuple[float, float]:
+    """The first and last instant of which there may be a record, s UTC.
+
+    From 2009 (LOFAR's first dumps are older) to a day ahead of `now_unix`.
+    """
+    return EARLIEST_UNIX, now_unix + DAY_S
+
+
 @dataclass(frozen=True)
 class Spectra:
     """N background spectra; row k is one (event, station, antenna, dipole).
@@ -220,10 +228,11 @@ class Spectra:
         return self.width_mhz if self.width_mhz is not None else guess_widths(self.frequency_mhz)
 
     def require_past(self, now_unix: float) -> None:
-        """Refuse spectra from before 2009 (LOFAR's first dumps are older) or of more than a day ahead of `now_unix`."""
-        self._require("time_unix", self.time_unix >= EARLIEST_UNIX, "an instant of 2009 or later (s UTC)")
+        """Refuse spectra of instants beyond `span_of_record`."""
+        first, last = span_of_record(now_unix)
+        self._require("time_unix", self.time_unix >= first, "an instant of 2009 or later (s UTC)")
         limit = f"an instant not after {datetime.fromtimestamp(now_unix, UTC):%Y-%m-%d} (s UTC)"
-        self._require("time_unix", self.time_unix <= now_unix + DAY_S, limit)
+        self._require("time_unix", self.time_unix <= last, limit)
 
     @property
     def head(self) -> Spectra:

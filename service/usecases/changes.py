@@ -14,6 +14,7 @@ from lbacal_core.causes.model import follows_date
 from lbacal_core.curves.validity import Instant, Scope, timeline
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.spectra.spectra import span_of_record
 from service.errors import ConflictError
 from service.storage.changes import (
     COURSE,
@@ -189,6 +190,9 @@ class Changes:
             raise BadInputError("body.size", f"the size of the {body.kind}, which C follows", "none")
         size = (None, None) if body.size is None else (body.size.value, body.size.sigma)
         date = parse_instant("body.at.value", body.at.value)
+        first, last = span_of_record(self.clock() / SECOND_US)
+        if not first <= date / SECOND_US <= last:
+            raise BadInputError("body.at.value", "an instant from 2009 until now, as of spectra", body.at.value)
         return Change(station, tuple(dict.fromkeys(paths)), body.kind, date, round(body.at.sigma_days * DAY_US), *size)
 
 

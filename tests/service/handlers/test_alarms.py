@@ -116,6 +116,9 @@ def test_one_change_is_one_row_whoever_found_it(factory: Factory, client: TestCl
         assert (
             client.post("/v1/changes", json={"at": {"value": "2014-05-02"}, "reason": "x", **wrong}).status_code == 422
         )
+    for date in ("2034-05-01T12:00", "1914-05-01"):  # spectra of these are refused, too
+        refused = client.post("/v1/changes", json={"station": "CS002", "at": {"value": date}, "reason": "a typo"})
+        assert (refused.status_code, "from 2009 until now" in refused.json()["detail"]) == (422, True)
 
 
 def test_a_change_ends_when_nobody_finds_it_any_longer(factory: Factory, client: TestClient) -> None:
