@@ -34,13 +34,13 @@ from service.storage.alarms import (
     AlarmsAsked,
     News,
 )
-from service.storage.changes import NOT_REFITTED, KeptChange
+from service.storage.changes import DISMISSED, NOT_REFITTED, KeptChange
 from service.storage.database import Database, Stores
 from service.storage.jobs import Job
 from service.storage.models import Investigation
 from service.storage.versions import Version
 from service.usecases.drift import year_of
-from service.usecases.watch import read_changes
+from service.usecases.watch import UNLESS, read_changes
 from service.wire.bodies import AcknowledgementBody
 
 if TYPE_CHECKING:
@@ -192,8 +192,8 @@ class Alarms:
         """List alarms, newest first."""
         with self.database.read() as stores:
             found = stores.alarms.newest(asked, self.clock())
-        waiting = self.changes.waiting(asked.station)
-        return [_with_state(one, waiting) for one in found]
+        kept = self.changes.list_all(asked.station)
+        return [_with_state(one, kept) for one in found]
 
     def acknowledge(self, number: int, body: AcknowledgementBody, by: str) -> Alarm:
         """Record that somebody knows of it, until an instant or for good."""
@@ -239,13 +239,18 @@ class Alarms:
         yield News(STALE_DATA, Scope(), "", sentence, {"newest_event": format_instant(span[1])}, span[1])
 
 
-def _with_state(alarm: Alarm, waiting: Sequence[KeptChange]) -> Alarm:
-    """An alarm of a step that says so where its windows are not yet refitted."""
-    if not waiting or alarm.news.kind != STEP or alarm.ended is not None:
+def _with_state(alarm: Alarm, kept: Sequence[KeptChange]) -> Alarm:
+    """An alarm of a step that says whether a person dismissed the change, and whether its windows are refitted."""
+    if not kept or alarm.news.kind != STEP or alarm.ended is not None:
         return alarm
-    if not any(own.is_same(one.change) for own in read_changes(alarm.news.content) for one in waiting):
-        return alarm
-    return replace(alarm, news=replace(alarm.news, sentence=f"{alarm.news.sentence} ({NOT_REFITTED})"))
+    found = read_changes(alarm.news.content)
+    own = [one for one in kept if one.ended is None and any(of.is_same(one.change) for of in found)]
+    told, is_dismissed = alarm.news.sentence, {one.decision == DISMISSED for one in own}
+    if told.endswith(UNLESS) and len(is_dismissed) == 1:
+        so_far = told.removesuffix(UNLESS)
+        told = f"{so_far.rpartition('; ')[0]}; a person dismissed the change" if True in is_dismissed else so_far
+    told += "" if all(one.is_refitted for one in own) else f" ({NOT_REFITTED})"
+    return replace(alarm, news=replace(alarm.news, sentence=told))
 
 
 def _silent(stores: Stores) -> dict[Scope, Instant]:

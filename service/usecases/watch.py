@@ -39,6 +39,8 @@ KIND = "watch"
 YEAR_US = round(YEAR_S * SECOND_US)
 MEMBERS_NAMED = 4
 """A sentence names this many of those that changed together, and counts the others."""
+UNLESS = " unless a person dismissed the change"
+"""The end of the sentence of an alarm, whose list says which it is."""
 TREND_P = 0.001
 """Probability of a trend of the whole without one, below which it is an alarm."""
 
@@ -278,7 +280,7 @@ def tell_news(report: Mapping[str, Any], frequency_mhz: Floats, *, cuts_windows:
             f"on {format_instant(since)[:10]} ± {change['date_sigma_days']:.1f} days"
         )
         is_cut = cuts_windows and error <= LARGEST_DATE_ERROR_US
-        sentence += "; its windows are cut there unless a person dismissed the change" if is_cut else ""
+        sentence += f"; its windows are cut there{UNLESS}" if is_cut else ""
         content = {**change, "proposal": _propose(change, format_instant(since))}
         yield News(STEP, Scope(change["station"]), "", sentence, content, since, error)
     for slope in report["slopes"]:
@@ -287,7 +289,7 @@ def tell_news(report: Mapping[str, Any], frequency_mhz: Floats, *, cuts_windows:
         is_path = slope["antenna"] is not None
         scope = Scope(slope["station"], slope["antenna"], slope["dipole"]) if is_path else Scope(slope["station"])
         beside = "its station" if is_path else "the other stations"
-        followed = "; C in effect follows that unless a person dismissed the change" if is_path and cuts_windows else ""
+        followed = f"; C in effect follows that{UNLESS}" if is_path and cuts_windows else ""
         amount = tell_change(slope["slope"], slope["sigma"], slope["shape"], frequency_mhz)
         sentence = (
             f"{name_path(slope['station'], slope['antenna'], slope['dipole'])}: C changes by {amount} a year "

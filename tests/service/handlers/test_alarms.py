@@ -20,6 +20,7 @@ from service.storage.alarms import News
 from service.storage.changes import DRIFT, INVESTIGATION, Change, Evidence
 from service.storage.models import Investigation
 from service.storage.versions import Version
+from service.usecases.watch import tell_news
 from tests.service.conftest import promote
 
 
@@ -119,6 +120,27 @@ def test_one_change_is_one_row_whoever_found_it(factory: Factory, client: TestCl
     for date in ("2034-05-01T12:00", "1914-05-01"):  # spectra of these are refused, too
         refused = client.post("/v1/changes", json={"station": "CS002", "at": {"value": date}, "reason": "a typo"})
         assert (refused.status_code, "from 2009 until now" in refused.json()["detail"]) == (422, True)
+
+
+def test_an_alarm_of_a_step_that_was_dismissed_said_unless_it_was(factory: Factory, client: TestClient) -> None:
+    content = {
+        "station": "CS002", "is_known": False, "date_unix": DATE / 1e6, "date_sigma_days": 1.0, "size": 0.1,
+        "sigma": 0.01, "shape": {}, "significance": 9.0,
+        "members": [{"antenna": 1, "dipole": "X", "size": 0.1, "sigma": 0.01, "significance": 9.0}],
+    }  # fmt: skip
+    report = {"changes": [content], "slopes": [], "trends": {}}
+    with factory.database.write() as stores:
+        (news,) = tell_news(report, factory.instrument.frequency_mhz, cuts_windows=True)
+        stores.alarms.settle(["step"], [news], factory.clock())
+    told = []
+    for decision in (None, "found", "dismissed", "in_force"):
+        if decision == "found":
+            find_change(factory, "CS002", 1)
+        elif decision:
+            client.post("/v1/changes/1/decision", json={"decision": decision, "reason": "test"})
+        told.append(client.get("/v1/alarms").json()["alarms"][0]["sentence"].rpartition("; ")[2])
+    cut = "its windows are cut there"
+    assert told == [f"{cut} unless a person dismissed the change", cut, "a person dismissed the change", cut]
 
 
 def test_a_change_ends_when_nobody_finds_it_any_longer(factory: Factory, client: TestClient) -> None:
