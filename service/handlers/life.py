@@ -58,11 +58,9 @@ def get_bad_antennas(request: Request, use: UseCases, at: str | None = None, sta
     at a change in force.
     """
     instant = use.clock() if at is None else parse_instant("at", at)
-    bad = [
-        fill_answer(BadPathAnswer, one, **describe_scope(one.path), reason=one.sentence)
-        for one in list_bad(use.database, use.instrument, instant, station)
-    ]
-    return answer(request, {"at": format_instant(instant), "bad": bad})
+    found, calibrated = list_bad(use.database, use.instrument, instant, station)
+    bad = [fill_answer(BadPathAnswer, one, **describe_scope(one.path), reason=one.sentence) for one in found]
+    return answer(request, {"at": format_instant(instant), "bad": bad, "calibrated": calibrated})
 
 
 def describe_life(life: Life, use: Factory) -> dict[str, Any]:

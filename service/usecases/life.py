@@ -133,16 +133,19 @@ class BadPath:
     source: str
 
 
-def list_bad(database: Database, instrument: Instrument, instant: Instant, station: str | None) -> list[BadPath]:
-    """The bad paths of a station, or of all, in order of path; one row a reason."""
+def list_bad(
+    database: Database, instrument: Instrument, instant: Instant, station: str | None
+) -> tuple[list[BadPath], int]:
+    """The bad paths of a station, or of all, in order of path, one row a reason; and how many paths have C then."""
     paths = select_paths(instrument, station, None, None)
     with database.read() as stores:
         alarms = stores.alarms.newest(AlarmsAsked(STATES, MOST, kind=LOST_PATH, station=station), instant)
         made = stores.investigations.newest_covering(instant, station)
-        changes = stores.changes.kept(station)
+        changes, answers = stores.changes.kept(station), stores.ledger.answers(paths, instant, None)
     found = [*_silent(alarms, paths, instant), *_insensitive(made), *_weak(changes, paths, instant)]
     order = {path: number for number, path in enumerate(paths)}
-    return sorted((one for one in found if one.path in order), key=lambda one: (order[one.path], one.kind))
+    bad = sorted((one for one in found if one.path in order), key=lambda one: (order[one.path], one.kind))
+    return bad, sum(bool(said) and said[-1].calibration is not None for said in answers.values())
 
 
 def _silent(alarms: Sequence[Alarm], paths: Sequence[Scope], instant: Instant) -> Iterator[BadPath]:

@@ -722,6 +722,7 @@ class BadAntennasAnswer(Answer):
 
     at: Moment
     bad: list[BadPathAnswer]
+    calibrated: int = Field(description="paths with C in effect then; where there are none, nothing is known of any")
 
 
 class LifeAnswer(Answer):

@@ -331,6 +331,7 @@ def test_antennas_not_to_be_used_are_silent_insensitive_or_weak(factory: Factory
         ]
 
     assert bad(at="2014-06-01") == []
+    assert client.get("/v1/antennas/bad?at=2014-06-01").json()["calibrated"] == 0, "nothing bad: nothing is known"
     weak, half = Change("CS001", ((0, "X"),), "step", DATE, DAY_US, 0.5, 0.01), 10 * DAY_US
     lost = News("lost_path", Scope("CS002"), "", "2 paths", {"paths": ["CS002/1/X", "CS002/1/Y"]}, since=DATE + half)
     begin, end = (parse_instant("", f"{year}-01-01") for year in (2014, 2015))
