@@ -23,7 +23,7 @@ from lbacal.tables import write_format
 from lbacal.transport import RefusedError
 from lbacal_core.curves.covariance import name_budgets
 from lbacal_core.curves.validity import Instant
-from lbacal_core.errors import BadInputError, LbacalError, offer_name, require_name
+from lbacal_core.errors import BadInputError, LbacalError, offer_name, require_antenna, require_name
 
 FORMAT = "lbacal-cache-1"
 ARRAY = ""
@@ -322,8 +322,8 @@ def _select_stations(snapshot: Snapshot, asked: Question) -> Sequence[str]:
     if asked.station is None:
         return stations
     require_name("station", asked.station, stations)
-    if asked.antenna is not None and asked.antenna not in snapshot.stations[asked.station]["antennas"]:
-        raise BadInputError("antenna", f"an antenna of {asked.station}", str(asked.antenna))
+    if asked.antenna is not None:
+        require_antenna("antenna", asked.antenna, asked.station, snapshot.stations[asked.station]["antennas"])
     return [asked.station]
 
 

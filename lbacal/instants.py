@@ -16,6 +16,7 @@ MJD_OF_EPOCH = 40_587
 LAST_MJD = 100_000
 SECOND_US, DAY_US = 1_000_000, 86_400_000_000
 EXPECTED = "an ISO 8601 date or instant such as 2014-05-01 or 2014-05-01T12:30:00Z (naive = UTC)"
+LOST_PLUS = " (in an address the + of a time zone is written %2B)"
 FIRST = (datetime(1, 1, 1, tzinfo=UTC) - EPOCH) // MICROSECOND
 LAST = (datetime(9999, 12, 31, 23, 59, 59, 999_999, tzinfo=UTC) - EPOCH) // MICROSECOND
 """What ISO 8601 can write in UTC: years 1 to 9999. No instant beyond enters."""
@@ -38,7 +39,8 @@ def parse_instant(place: str, text: str) -> Instant:
     """Read an instant, ISO 8601, UTC unless it says otherwise; digits beyond the microsecond are cut."""
     match = _INSTANT.fullmatch(text)
     if match is None or (match["fraction"] and len(match["time"]) == 5):
-        raise BadInputError(place, EXPECTED, repr(text[:60]))
+        is_plus_lost = _INSTANT.fullmatch("+".join(text.rsplit(" ", 1))) is not None and match is None
+        raise BadInputError(place, EXPECTED, repr(text[:60]) + (LOST_PLUS if is_plus_lost else ""))
     zone = (match["zone"] or "Z").replace("Z", "+00:00")
     try:
         moment = datetime.fromisoformat(f"{match['date']}T{match['time'] or '00:00'}{zone}")

@@ -100,6 +100,15 @@ def require_name(place: str, name: Any, known: Collection[str]) -> None:
         raise BadInputError(place, f"one of {', '.join(known)}", offer_name(name, known))
 
 
+def require_antenna(place: str, antenna: int, station: str, known: Collection[int]) -> None:
+    """Refuse a number that none of the antennas of a station has."""
+    if antenna not in known:
+        first, last = min(known), max(known)
+        is_whole = len(known) == last - first + 1
+        there = f"{first} to {last}" if is_whole else ", ".join(map(str, sorted(known)))
+        raise BadInputError(place, f"an antenna of {station} ({there})", str(antenna))
+
+
 def require_kind(place: str, value: Any, kind: Any, expected: str) -> None:
     """Refuse a value of another type."""
     if not isinstance(value, kind):

@@ -121,7 +121,7 @@ _UNUSABLE_FILES = (FileExistsError, FileNotFoundError, IsADirectoryError, NotADi
 _OF_THE_API = {
     r"GET /v1/(alarms|changes|jobs|models|tag)s? lists": r"lbacal \1 lists",
     r"\bbody\.(?:valid_)?(antenna|dipole|finding|fit|from|kind|reason|scope|since|size|station|to|until):": r"--\1:",
-    r"\bgap=hold": "lbacal effective --gap hold",
+    r"\bgap=hold of GET /v1/calibrations/effective": "lbacal effective --gap hold",
 }
 """Words of the HTTP API in the sentences of a server, as patterns, and those of the commands."""
 

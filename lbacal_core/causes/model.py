@@ -228,7 +228,9 @@ class Model:
             return Model((*self.causes, _adopt_structure(report.get("unexplained"), since_unix)))
         findings: Sequence[Mapping[str, Any]] = report.get("findings", [])
         if not findings:
-            raise BadInputError("report", "a finding to adopt", f"none: its verdict is {report.get('verdict')!r}")
+            told = f"none: its verdict is {report.get('verdict')!r}"
+            told += "; give unexplained in place of a number" if report.get(UNEXPLAINED) else ""
+            raise BadInputError("report", "a finding to adopt", told)
         if number is not None and (isinstance(number, str) or not 0 <= number < len(findings)):
             raise BadInputError(f"report: finding {number}", f"a number from 0 to {len(findings) - 1}", str(number))
         taken = range(len(findings)) if number is None else [int(number)]

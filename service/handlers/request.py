@@ -40,7 +40,7 @@ TURN_S = 5.0
 def _require_digits(value: Any) -> Any:
     """Pydantic also takes `1.0`, `1_0` and the digits of other scripts for the number they mean."""
     if isinstance(value, str) and re.fullmatch("[0-9]{1,19}", value) is None:
-        raise ValueError("a whole number in digits")
+        raise ValueError("a whole number in digits, 0 or more")
     return value
 
 

@@ -22,7 +22,8 @@ from service.storage.rows import Store, add_rows, equal, from_row, put_rows, to_
 # Ids by their first digits, where no other id begins with them.
 
 ID_DIGITS = 64
-_SHORT_ID = re.compile(r"[0-9a-f]{6,63}")
+FEWEST_DIGITS = 6
+_SHORT_ID = re.compile(r"[0-9a-f]{1,63}")
 
 
 def complete_id(connection: Connection, column: Column[str], beginning: str, noun: str) -> str:
@@ -32,9 +33,13 @@ def complete_id(connection: Connection, column: Column[str], beginning: str, nou
     ------
     BadInputError
         Where several begin with them.
+    NotFoundError
+        Where they are too few.
     """
     if len(beginning) == ID_DIGITS or not _SHORT_ID.fullmatch(beginning):
         return beginning
+    if len(beginning) < FEWEST_DIGITS:
+        raise NotFoundError(f"{beginning!r} names no {noun}: {FEWEST_DIGITS} or more digits of its id do")
     is_meant = column.between(beginning, beginning.ljust(ID_DIGITS, "f"))
     found = list(connection.execute(select(column).where(is_meant).limit(2)).scalars())
     if len(found) > 1:

@@ -253,6 +253,8 @@ class Arrivals:
                 "a different spectrum is stored under the same event, station, antenna and dipole: "
                 + "; ".join(different[:ROWS_NAMED])
                 + more
+                + "; what is stored stays: to correct it, flag the event (POST /v1/events/{id}/flag) and send all its "
+                "spectra under another event"
             )
 
 

@@ -13,7 +13,7 @@ from lbacal_core.calibration.slow_changes import follow_slow_changes
 from lbacal_core.calibration.spreads import ServedCurve, serve_reference
 from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.curves.validity import Instant, Promotion, Scope, Stretch
-from lbacal_core.errors import BadInputError, name_path, require_name
+from lbacal_core.errors import BadInputError, name_path, require_antenna, require_name
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import Remembered
 from service.errors import NotInEffectError
@@ -166,8 +166,8 @@ def select_paths(instrument: Instrument, station: str | None, antenna: int | Non
         require_name("station", station, sorted({record.station for record in instrument.antennas}))
     of_station = [record for record in instrument.antennas if station in (None, record.station)]
     chosen = sorted({(r.station, r.antenna) for r in of_station if antenna in (None, r.antenna)})
-    if not chosen:
-        raise BadInputError("antenna", f"an antenna of {station}", str(antenna))
+    if antenna is not None:
+        require_antenna("antenna", antenna, str(station), {record.antenna for record in of_station})
     return [Scope(s, a, d) for s, a in chosen for d in instrument.dipoles if dipole in (None, d)]
 
 
@@ -298,7 +298,7 @@ class Calibrations:
         near = {path: _nearest(found[path], at) for path in missing} if hold else {}
         held = {path: promotion for path, promotion in near.items() if promotion is not None}
         if missing and not decisive and not held:
-            raise NotInEffectError(_explain_gap(missing, found[missing[0]], at))
+            raise NotInEffectError(_explain_gap(missing, found[missing[0]], at, as_of))
         return asked, decisive | held, held
 
     def write(
@@ -397,16 +397,17 @@ def _nearest(neighbours: Neighbours, at: Instant) -> Promotion | None:
     return nearest.promotion if nearest else None
 
 
-def _explain_gap(missing: Sequence[Scope], neighbours: Neighbours, at: Instant) -> str:
+def _explain_gap(missing: Sequence[Scope], neighbours: Neighbours, at: Instant, as_of: Instant | None) -> str:
     before, after = neighbours
     path = name_path(*missing[0].parts)
     path += "" if len(missing) == 1 else f" or any of the {len(missing)} paths asked for"
     sentence = f"no calibration is in effect for {path} at {format_instant(at)}"
     if before is None and after is None:
-        return f"{sentence}, and none was or will be at another time"
+        known = "" if as_of is None else f", as known at {format_instant(as_of)}"
+        return f"{sentence}, and none was or will be at another time{known}"
     named = []
     if before is not None:
         named.append(f"{before.promotion.calibration} was until {format_instant(before.instant)}")
     if after is not None:
         named.append(f"{after.promotion.calibration} is from {format_instant(after.instant)}")
-    return f"{sentence}: {' and '.join(named)}; gap=hold answers with the nearest"
+    return f"{sentence}: {' and '.join(named)}; gap=hold of GET /v1/calibrations/effective answers with the nearest"

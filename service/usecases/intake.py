@@ -12,7 +12,7 @@ import numpy as np
 
 from lbacal.instants import SECOND_US, format_instant, parse_instant
 from lbacal_core.curves.validity import Instant
-from lbacal_core.errors import BadInputError, name_path, require_name
+from lbacal_core.errors import BadInputError, name_path, require_antenna, require_name
 from lbacal_core.grids import Floats, require_same_grid
 from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.instrument.instrument import Instrument
@@ -154,10 +154,11 @@ class Intake:
         for k, (station, antenna, time) in enumerate(
             zip(spectra.station.tolist(), spectra.antenna.tolist(), spectra.time_unix.tolist(), strict=True)
         ):
-            records = self._records.get((station, antenna))
-            if records is None:
+            records = self._records.get((station, antenna), ())
+            if not records:
                 require_name(name_place("station", k), station, stations)
-                raise BadInputError(name_place("antenna", k), f"an antenna of {station}", str(antenna))
+                of_station = {number for name, number in self._records if name == station}
+                require_antenna(name_place("antenna", k), antenna, station, of_station)
             if (station, antenna) not in self._always and not any(record.covers(time) for record in records):
                 expected = f"a time at which {station} antenna {antenna} is on record"
                 found = format_instant(round(time * 1e6))

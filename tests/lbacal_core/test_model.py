@@ -115,7 +115,8 @@ def test_what_recurs_leaves_one_c(cause, parameters):
 @pytest.mark.parametrize(
     ("report", "message"),
     [
-        ({"verdict": "consistent", "findings": []}, "a finding to adopt"),
+        ({"verdict": "consistent", "findings": []}, "a finding to adopt, found none: its verdict is 'consistent'$"),
+        ({"verdict": "unexplained", "findings": [], "unexplained": {"x": 1}}, "give unexplained in place of a number"),
         ({"findings": [{**FINDING, "cause": "cable_length"}]}, "is in A\\(nu\\), and C is right"),
         ({"findings": [{**FINDING, "where": {"axis": "lst"}}]}, "one of an LST curve"),
         ({"findings": [{**FINDING, "size": {"value": 1.0, "sigma": None}}]}, "a size with an error"),

@@ -69,7 +69,7 @@ def test_bad_input_exits_with_2_and_failed_work_with_1_and_both_with_one_line(
         ("body.valid_from: expected an instant", "--from: expected an instant"),
         ("body.spectra[0].power: expected 4 channels", "body.spectra[0].power: expected 4 channels"),
         (
-            "it is none: gap=hold answers with the nearest",
+            "it is none: gap=hold of GET /v1/calibrations/effective answers with the nearest",
             "it is none: lbacal effective --gap hold answers with the nearest",
         ),
     ],

@@ -149,7 +149,14 @@ def test_a_gap_names_its_neighbours_and_can_be_held(client: TestClient, stored: 
     ]
     assert [c["calibration"] for c in held] == [stored[n].id for n in ("path", "other", "other", "path")]
     assert all(c["held"] for c in held)
-    assert ask(client, "2014-06-20", station="CS002").json()["detail"].endswith("none was or will be at another time")
+    assert "gap=hold of GET /v1/calibrations/effective answers with the nearest" in detail
+    nothing = {"at": "2014-06-20", "station": "CS002"}
+    for asked, end in ((nothing, ""), ({**nothing, "as_of": "2010-01-01"}, ", as known at 2010-01-01T00:00:00Z")):
+        told = ask(client, **asked).json()["detail"]
+        assert told.endswith(f"none was or will be at another time{end}"), "no more than was known then"
+    for wrong, sentence in (("77", "expected an antenna of CS001 (0 to 2), found 77"), ("-1", "digits, 0 or more")):
+        assert sentence in ask(client, "2014-06-20", station="CS001", antenna=wrong).json()["detail"]
+    assert "%2B" in client.get("/v1/calibrations/effective?at=2014-06-20T00:00:00+02:00").json()["detail"]
 
 
 def test_paths_with_nothing_in_effect_are_named_as_missing(client: TestClient, stored: Stored) -> None:
@@ -421,6 +428,8 @@ def test_short_ids_are_taken_where_one_version_has_them(client: TestClient, stor
     wrongs = (first.id[:5], first.id[:10].upper(), first.id[:9] + "%25", "_" * 10, first.id[:63] + "g", first.id + "0")
     for wrong in wrongs:
         assert client.get(f"/v1/calibrations/{wrong}").status_code == 404, wrong
+    detail = client.get(f"/v1/calibrations/{first.id[:5]}").json()["detail"]
+    assert detail == f"'{first.id[:5]}' names no version: 6 or more digits of its id do"
     alike = [new_version(Scope("CS001", 0, "X"), f"name {k}") for k in (6597, 6634)]
     assert alike[0].id[:6] == alike[1].id[:6], "two names whose hashes begin alike"
     with factory.database.write() as stores:

@@ -320,7 +320,7 @@ def test_what_json_says_twice_or_not_at_all_is_refused(client: TestClient, old: 
             )
             for bad in (1e308, 5e-324)
         ],
-        ({"antenna": 77}, "body.spectra[1].antenna: expected an antenna of CS001, found 77"),
+        ({"antenna": 77}, "body.spectra[1].antenna: expected an antenna of CS001 (0 to 2), found 77"),
         ({"antena": 1}, "body.spectra[1].antena: expected no field of this name, found 1"),
         ({"blocks": "100"}, "body.spectra[1].blocks: expected a valid integer, found '100'"),
         ({"time_utc": "2014"}, "body.spectra[1].time_utc: expected an ISO 8601 date"),
@@ -341,7 +341,7 @@ def test_a_refusal_names_the_place_what_was_expected_and_what_was_found(
     ("name", "values", "sentence"),
     [
         ("station", ["CS009"] * 8, "body: station, row 0: expected one of CS001, CS002, found 'CS009'"),
-        ("antenna", [0, 0, 1, 1, 0, 0, 1, 77], "body: antenna, row 7: expected an antenna of CS001, found 77"),
+        ("antenna", [0, 0, 1, 1, 0, 0, 1, 77], "body: antenna, row 7: expected an antenna of CS001 (0 to 2), found 77"),
         ("event_id", ["a/b"] * 4 + ["c"] * 4, "body: event_id, row 0: expected at most 200 printable characters"),
         ("time_unix", [1.4e9] * 7 + [1.41e9], "body: time_unix, row 7: expected a time within 60 s"),
         ("time_unix", [1.2e9] * 8, "body: time_unix, row 0: expected an instant of 2009 or later"),
