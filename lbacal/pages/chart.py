@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib import import_module
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,8 +24,8 @@ STYLES = ("-", "--", ":", "-.")
 NARROW, WIDE, HEIGHT = 520, 1040, 300
 INCH = 105
 """Units of a chart's width and height in an inch of a printed figure."""
-FOR_LEGEND = 0.5
-"""Room for a legend above what is drawn, where that fills the axes from below, as a part of its height."""
+TITLE_PAD, LEGEND_ROW, LEGEND_COLUMNS = 6.0, 12.0, 2
+"""Points between axes and title, for each row of the legend between them, and its columns."""
 LINE, BAND, POINTS, BARS, SPAN, MARK, IMAGE = "line", "band", "points", "bars", "span", "mark", "image"
 
 
@@ -115,7 +114,7 @@ class Chart:
         for one in self.series:
             _draw_series(axes, one, is_time=self.scales[0] == "time")
         is_log = {f"{name}scale": "log" for name, kind in zip("xy", self.scales, strict=True) if kind == "log"}
-        axes.set(title=self.title, xlabel=self.x_label, ylabel=self.y_label, **is_log)
+        axes.set(xlabel=self.x_label, ylabel=self.y_label, **is_log)
         if self.rows:
             axes.set_yticks(range(len(self.rows)), self.rows)
             axes.set_ylim(len(self.rows) - 0.4, -0.6)
@@ -123,14 +122,12 @@ class Chart:
             axes.set_xlim(_positions(self.x_limits, is_time=self.scales[0] == "time"))
         if self.y_limits is not None:
             axes.set_ylim(self.y_limits)
-        look: dict[str, Any] = {"fontsize": 8, "framealpha": 0.8, "edgecolor": "none"}
-        bands = [one for one in self.series if one.kind == BAND]
-        if len(bands) > 1 and all(np.array_equal(below.high, above.low) for below, above in pairwise(bands)):  # stacked
-            low, high = axes.get_ylim()
-            axes.set_ylim(low, high + FOR_LEGEND * (high - low))
-            look |= {"fontsize": 7, "loc": "upper center", "ncols": 2, "handlelength": 1.0, "columnspacing": 1.0}
-        if any(one.name and one.image is None for one in self.series):
-            axes.legend(**look)
+        named = sum(bool(one.name) and one.image is None for one in self.series)
+        axes.set_title(self.title, pad=TITLE_PAD + LEGEND_ROW * -(-named // LEGEND_COLUMNS))
+        if named:
+            look: dict[str, Any] = {"fontsize": 8, "frameon": False, "columnspacing": 1.0, "labelspacing": 0.2}
+            above = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "borderaxespad": 0.2}
+            axes.legend(ncols=LEGEND_COLUMNS, **above, **look)
 
 
 def plot_charts(charts: Sequence[Chart], columns: int = 2) -> Figure:
