@@ -20,7 +20,7 @@ from sqlalchemy import Select, func, or_, select, true, update
 
 from lbacal.instants import DAY_US, SECOND_US, format_instant
 from lbacal_core.calibration.slow_changes import SlowChange, spread_over_band
-from lbacal_core.curves.validity import Instant, Promotion, Scope
+from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import name_path
 from lbacal_core.grids import Floats
 from service.errors import NotFoundError
@@ -172,11 +172,6 @@ class Cut:
     power: float | None = None
     shape: tuple[float, float] = (0.0, 0.0)
     slow: SlowChange | None = None
-
-    def is_bridged_by(self, promotion: Promotion) -> bool:
-        """Whether a version answers on both sides of it."""
-        ends_later = promotion.valid_to is None or promotion.valid_to > self.date
-        return promotion.calibration is not None and promotion.valid_from < self.date and ends_later
 
     def begins_before(self, until: Instant) -> bool:
         """Whether it shows before an instant: a season has no beginning."""

@@ -250,6 +250,16 @@ class LedgerStore(Store):
         rows = self._connection.execute(state_decisive(is_postgresql, is_pinned=as_of is not None), bound)
         return {(made.scope, row.instant): made for row in rows for made in [_value(row)]}
 
+    def bridging(
+        self, dates: Iterable[tuple[Scope, Instant]], as_of: Instant | None = None
+    ) -> dict[tuple[Scope, Instant], str]:
+        """The version that decides just before a date and at it, by scope and date; left out where two do, or none."""
+        sides = {(scope, date): ((scope, date - 1), (scope, date)) for scope, date in dates}
+        said = self.decisive_at((one for of in sides.values() for one in of), as_of) if sides else {}
+        names = {one: made.calibration for one, made in said.items()}
+        found = {place: (names.get(before), names.get(after)) for place, (before, after) in sides.items()}
+        return {place: before for place, (before, after) in found.items() if before is not None and before == after}
+
     def latest(self, scopes: Iterable[Scope]) -> dict[Scope, Promotion]:
         """The promotion in effect at the begin of the last interval of each scope that has one, as it stands now."""
         of_key = {scope.key: scope for scope in scopes}

@@ -17,7 +17,7 @@ from lbacal_core.errors import BadInputError, name_path, require_antenna, requir
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import Remembered
 from service.errors import NotInEffectError
-from service.storage.changes import Epoch, KeptChange, concerns, split_epochs
+from service.storage.changes import Cut, Epoch, KeptChange, concerns, split_epochs
 from service.storage.database import Database
 from service.storage.ledger import Neighbours
 from service.storage.versions import Version
@@ -256,14 +256,19 @@ class Calibrations:
                 name = name_path(*lacking[0].parts)
                 raise NotInEffectError(f"{name}: the mean that is in effect has no curve of this dipole")
         named = (name for version in versions.values() for name in version.budgets)
+        cuts = {one.scope: _list_cuts(one.scope, of_antenna) for one in answers.values()}
+        dates = {(scope, cut.date) for scope, of_scope in cuts.items() for cut in of_scope}
+        bridging = self.database.ask(lambda s: s.ledger.bridging(dates, as_of)) if dates else {}
         budgets = self.budgets.get_many(named, lambda ids: self.database.look(lambda s: s.budgets.get_texts(ids)))
 
         def list_curves(path: Scope, promotion: Promotion) -> Iterator[CurveInEffect]:
             """The curve that a path is served; of an array that was asked for by itself, those of its chains."""
             version, trace = versions[str(promotion.calibration)], tuple(asked[path])
             is_held = promotion == held.get(path)
-            changed, epoch = _find_change(promotion, of_antenna), _find_epoch(path, at, of_antenna)
-            slow = find_slow(promotion.scope, of_antenna)
+            scope, epoch = promotion.scope, _find_epoch(path, at, of_antenna)
+            over = (cut for cut in cuts[scope] if bridging.get((scope, cut.date)) == promotion.calibration)
+            changed = next((cut.warning for cut in over), None)
+            slow = find_slow(scope, of_antenna)
             served, step = (promotion, is_held, trace), at // SLOW_STEP_US
             followed = slow, step * SLOW_STEP_US + SLOW_STEP_US // 2 if slow else None
             if path.antenna is None:
@@ -345,11 +350,10 @@ def group_by_antenna(kept: Iterable[KeptChange]) -> ByAntenna:
     return found
 
 
-def _find_change(promotion: Promotion, of_antenna: ByAntenna) -> str | None:
-    """What to know of a path's own version that answers on both sides of a change."""
-    station, antenna, _ = promotion.scope.parts
-    own = (cut for one in _of(of_antenna, station, antenna) for cut in one.cuts if cut.antenna in (None, antenna))
-    return next((cut.warning for cut in own if cut.is_bridged_by(promotion)), None)
+def _list_cuts(scope: Scope, of_antenna: ByAntenna) -> list[Cut]:
+    """The cuts of the windows of a scope."""
+    own = _of(of_antenna, scope.station, scope.antenna)
+    return [cut for one in own for cut in one.cuts if cut.antenna in (None, scope.antenna)]
 
 
 def _find_epoch(path: Scope, at: Instant, of_antenna: ByAntenna) -> Epoch:

@@ -56,11 +56,11 @@ WORDS = {IN_FORCE: "in force", DISMISSED: "dismissed"}
 def mark_refitted(stores: Stores, changes: Sequence[KeptChange], dipoles: Collection[str]) -> list[KeptChange]:
     """Changes with whether they are refitted: one whose antennas have versions in effect may not be."""
     asked = {
-        (Scope(cut.station, cut.antenna, None if cut.antenna is None else dipole), at): (one.number, cut)
-        for one in changes for cut in one.cuts for dipole in dipoles for at in (cut.date - 1, cut.date)
+        (one.number, (Scope(cut.station, cut.antenna, None if cut.antenna is None else dipole), cut.date))
+        for one in changes for cut in one.cuts for dipole in dipoles
     }  # fmt: skip
-    said = stores.ledger.decisive_at(asked)
-    waiting = {number for key, (number, cut) in asked.items() if key in said and cut.is_bridged_by(said[key])}
+    bridging = stores.ledger.bridging(place for _, place in asked)
+    waiting = {number for number, place in asked if place in bridging}
     return [replace(one, is_refitted=one.number not in waiting) for one in changes]
 
 

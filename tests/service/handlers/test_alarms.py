@@ -161,16 +161,37 @@ def test_a_change_is_refitted_once_no_version_answers_on_both_sides(
     find_change(factory, "CS001", 0)
     path, (start, end) = Scope("CS001", 0, "X"), (parse_instant("", f"{year}-01-01") for year in (2014, 2015))
 
-    def is_refitted(*intervals: tuple[int, int | None]) -> bool:
+    def is_refitted(name: str, since: int, until: int | None) -> bool:
         with factory.database.write() as stores:
-            wanted = [Promotion(0, path, since, until, stored["path"].id, 0) for since, until in intervals]
-            stores.ledger.append(wanted, factory.clock)
-        return bool(client.get("/v1/changes").json()["changes"][0]["refitted"])
+            stores.ledger.append([Promotion(0, path, since, until, stored[name].id, 0)], factory.clock)
+        question = {"at": "2014-06-01", "station": "CS001", "antenna": 0, "dipole": "X"}
+        (curve,) = client.get("/v1/calibrations/effective", params=question).json()["curves"]
+        is_told = bool(client.get("/v1/changes").json()["changes"][0]["refitted"])
+        assert is_told == (curve["flag_reason"] is None)
+        return is_told
 
-    assert not is_refitted((start, end))
-    assert not is_refitted((start, None))
-    assert not is_refitted((DATE, end)), "one side of it only"
-    assert is_refitted((start, DATE))
+    assert not is_refitted("path", start, end)
+    assert not is_refitted("path", start, None)
+    assert not is_refitted("path", DATE, end), "in two acts the same version"
+    assert not is_refitted("path", start, DATE), "in two acts the same version"
+    assert is_refitted("other", start, DATE)
+
+
+def test_a_change_whose_date_moved_with_no_event_between_was_not_refitted_for_ever(
+    factory: Factory, client: TestClient, stored: dict[str, Version]
+) -> None:
+    """The version after it kept the bounds of the old date: it was said to be the mean over the change."""
+    find_change(factory, "CS001", 0)
+    path, (start, end) = Scope("CS001", 0, "X"), (parse_instant("", f"{year}-01-01") for year in (2014, 2015))
+    pieces = [("other", start, DATE - DAY_US), ("path", DATE - DAY_US, end), ("other", start, DATE)]
+    for name, since, until in pieces:
+        with factory.database.write() as stores:
+            stores.ledger.append([Promotion(0, path, since, until, stored[name].id, 0)], factory.clock)
+    assert client.get("/v1/changes").json()["changes"][0]["refitted"]
+    for at, name in (("2014-04-30T12:00", "other"), ("2014-05-01", "path")):
+        question = {"at": at, "station": "CS001", "antenna": 0, "dipole": "X"}
+        (curve,) = client.get("/v1/calibrations/effective", params=question).json()["curves"]
+        assert (curve["calibration"], curve["flag_reason"]) == (stored[name].id, None)
 
 
 def test_the_life_of_a_path_says_what_was_in_effect_when_and_what_happened(
