@@ -367,9 +367,13 @@ class VersionStore(Store):
         return found
 
     def count_gated(self) -> int:
-        """How many versions wait for a human: kept back by the gate, promoted by nobody, newest of their window."""
+        """How many versions wait for a human: kept back by the gate, promoted by nobody, newest of their window.
+
+        One over whose window versions were promoted since, such as those on both sides of a change, is over.
+        """
         promoted = select(promotion.c.id).where(promotion.c.calibration == calibration.c.id).exists()
-        waiting = select(func.count()).select_from(calibration).where(IS_GATED, ~promoted, ~_has_newer())
+        is_over = and_(_is_promoted_since(calibration.c.since_us), _is_promoted_since(calibration.c.until_us - 1))
+        waiting = select(func.count()).select_from(calibration).where(IS_GATED, ~promoted, ~_has_newer(), ~is_over)
         return int(self._connection.execute(waiting).scalar_one())
 
     def means(self, ids: Iterable[str]) -> list[MeanC]:
@@ -402,6 +406,13 @@ def _has_newer() -> ColumnElement[bool]:
         later.c.until_us == calibration.c.until_us, later.c.made_us > calibration.c.made_us,
     )  # fmt: skip
     return select(later.c.id).where(is_later).exists()
+
+
+def _is_promoted_since(instant: ColumnElement[int]) -> ColumnElement[bool]:
+    """Whether another version of the same scope was put into effect at an instant after a version was made."""
+    lasts = or_(promotion.c.valid_to_us.is_(None), promotion.c.valid_to_us > instant)
+    later = promotion.c.scope == calibration.c.scope, promotion.c.at_us > calibration.c.made_us
+    return select(promotion.c.id).where(*later, promotion.c.valid_from_us <= instant, lasts).exists()
 
 
 def _value(row: Row[Any], chains: Mapping[str, ReferenceChain]) -> Version:

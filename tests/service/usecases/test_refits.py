@@ -300,12 +300,19 @@ def test_a_version_that_a_later_night_replaced_waited_for_a_human_for_ever(after
     with after_night.database.write() as stores:
         version = max(stores.versions.search(None, None, "", 1000), key=lambda one: one.made)
         assert stores.versions.count_gated() == 0
-        for made, waiting in ((version.made - 1, 0), (version.made + 1, 1)):
+        for made, waiting in ((version.made - 1, 0), (version.made + HOUR_US, 1)):
             kept_back = replace(version, inputs={**version.inputs, "number": made}, made=made, gate="too_few_events")
             stores.versions.add([kept_back])
             assert stores.versions.count_gated() == waiting
+        # what was promoted later on both sides of a change covers the year of which it was kept back
+        half = (version.since + version.until) // 2
+        for ends, waiting in (((version.since, half), 1), ((half, version.until), 0)):
+            promotion = Promotion(0, version.scope, *ends, version.id, 0, "night", "")
+            stores.ledger.append([promotion], lambda: version.made + 2 * HOUR_US)
+            assert stores.versions.count_gated() == waiting
 
 
+HOUR_US = 3_600_000_000
 SCOPES = ("antenna", "array", "station")
 
 
