@@ -18,8 +18,9 @@ from typing import Any
 import numpy as np
 
 from lbacal.instants import SECOND_US
+from lbacal_core.calibration.channels import LARGEST_GOOD_ERROR
 from lbacal_core.calibration.slow_changes import SlowChange
-from lbacal_core.curves.curves import CONVERGED, MISFIT, OK, CalibrationCurve
+from lbacal_core.curves.curves import CONVERGED, MISFIT, OK, UNCERTAIN, CalibrationCurve
 from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import BadInputError, write_change, write_percent
@@ -321,10 +322,17 @@ class Gate:
         is_good = curve.flags == OK
         if is_good.mean() < self.band:
             bad = curve.frequency_mhz[~is_good]
-            return (
+            told = (
                 f"{is_good.sum()} of {is_good.size} channels are good, at least {self.band:.0%} pass; "
                 f"bad ones lie between {bad[0]:g} and {bad[-1]:g} MHz"
             )
+            doubted = (curve.flags == UNCERTAIN) & (curve.c_sigma_stat / curve.c <= LARGEST_GOOD_ERROR)
+            if np.any(doubted):
+                told += (
+                    f"; in {doubted.sum()} another antenna that these spectra do not exclude moves C by more than "
+                    f"{LARGEST_GOOD_ERROR:.0%}, and lbacal budget says which it may be"
+                )
+            return told
         error = float(np.mean(curve.c_sigma_stat[is_good] / curve.c[is_good]))
         if error > self.error:
             return (
