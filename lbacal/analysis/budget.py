@@ -41,6 +41,11 @@ class ErrorBudget(Result):
 
     budget: Budget
 
+    @property
+    def terms(self) -> Sequence[BudgetTerm]:
+        """All terms that are printed."""
+        return self.budget.terms
+
     @classmethod
     def of(cls, budget: Budget, origin: Origin = ()) -> Self:
         """Make the result of these terms."""
