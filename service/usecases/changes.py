@@ -131,7 +131,7 @@ class Changes:
         if not [*kept.cuts, *then.cuts]:
             return then, []
         window = year_of(kept.change.date)
-        cuts = [cut for one in (*others, then) for cut in one.cuts if cut.date < window[1]]
+        cuts = [cut for one in (*others, then) for cut in one.cuts]
         return then, self._fit(kept.change, window, cuts, by)
 
     def _follow(
@@ -163,12 +163,13 @@ class Changes:
         with self.database.read() as stores:
             model = stores.models.during(change.station, *window)
             for of in scopes if 0 < len(change.antennas) <= FITTED_ONE_BY_ONE else [Scope(change.station)]:
-                wanted = Wanted("antenna", of, *window, model, by, "", tuple(cuts))
+                inside = tuple(cut for cut in cuts if cut.date < window[1])
+                wanted = Wanted("antenna", of, *window, model, by, "", inside)
                 try:
                     spectra = fits.load(stores, wanted)
                 except ConflictError:
                     continue
-                neighbours = fits.find_neighbours(stores, wanted)
+                neighbours = fits.find_neighbours(stores, wanted, cuts)
                 versions += fits.make(fits.fit_causes(spectra, model), wanted, neighbours).versions
             return self.promotions.foresee(stores, [one for one in versions if one.scope in scopes], by, "")
 

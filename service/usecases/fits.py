@@ -170,15 +170,18 @@ class Fits:
         model = [] if wanted.model.is_plain else [wanted.model.id]
         return hash_content([self.name_simulation(wanted.since, wanted.until, wanted.of), wanted.named, *model])
 
-    def find_neighbours(self, stores: Stores, wanted: Wanted) -> Neighbours:
-        """The calendar years beside a window of which lines are kept that a fit would make again."""
+    def find_neighbours(self, stores: Stores, wanted: Wanted, cuts: Sequence[Cut] | None = None) -> Neighbours:
+        """The calendar years beside a window of which lines are kept that a fit would make again.
+
+        With the cuts of all years; None for those on record.
+        """
         of = Scope(wanted.of.station)
         found = list(self._find_pieces(stores, wanted.scope, of, wanted.since, wanted.until))
         changes: dict[tuple[str, int | None], list[Instant]] = {}
         behind: dict[Owner, tuple[Floats, str]] = {}
         for station in {one.station for one in wanted.taken_out}:
             behind |= self._find_behind(stores, Scope(station))
-        for cut in stores.changes.cuts(of.station):
+        for cut in stores.changes.cuts(of.station) if cuts is None else cuts:
             changes.setdefault((cut.station, cut.antenna), []).append(cut.date)
         for owner, dates in find_hardware_changes(self.simulation.instrument).items():
             changes.setdefault(owner, []).extend(round(date * SECOND_US) for date in dates)

@@ -181,6 +181,8 @@ def dismiss_and_take_back(watched: Factory, path: Scope) -> None:
         )
         again = decide(kept.number, "in_force")
         assert (again.status_code, again.json()["decision"]) == (201, "in_force")
+        announced = [one["after"] for one in again.json()["changes"] if one["dipole"] == path.dipole]
+        assert sorted(announced) == sorted(cut_year), "told beside years that knew nothing of the change"
         assert {one for one in watch_night(watched) if one[0] == "refit"} - parted == of_year
         assert [version.id for version in in_effect(watched, path)] == cut_year, "the versions of before answer again"
 
