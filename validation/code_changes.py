@@ -137,7 +137,7 @@ def mutations(function: ast.AST) -> Iterator[Site]:
                 yield "condition negated", test, _negated(test)
             case ast.Raise() | ast.Expr(value=ast.Call()) | ast.Assign(targets=[ast.Attribute() | ast.Subscript()]):
                 yield "statement dropped", node, "pass"
-            case ast.Return(value=ast.expr() as value) if names:
+            case ast.Return(value=ast.expr() as value) if names and ast.unparse(value) != names[0]:
                 yield "first argument returned", value, names[0]
             case ast.Call(func=ast.Name(id="sorted")):
                 yield "order reversed", node, f"{ast.unparse(node)}[::-1]"

@@ -48,7 +48,9 @@ def function_of(where: str) -> types.FunctionType | None:
 def code_in(text: str, function: types.FunctionType) -> types.CodeType:
     """The code of a function in another text of its module."""
     whole = compile(text, function.__code__.co_filename, "exec")
-    return next(one for one in _codes(whole) if one.co_qualname == function.__code__.co_qualname)
+    code = next(one for one in _codes(whole) if one.co_qualname == function.__code__.co_qualname)
+    # a method of which `super()` was taken out no longer has `__class__`, without which its code is not exchanged
+    return code.replace(co_freevars=function.__code__.co_freevars)
 
 
 def _codes(code: types.CodeType) -> Iterator[types.CodeType]:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import json
 import shutil
 import subprocess
@@ -26,7 +27,7 @@ from validation.planted_faults import (
     seen_in_groups,
     tell,
 )
-from validation.planted_run import PlantedRun, function_of
+from validation.planted_run import PlantedRun, code_in, function_of
 
 pytest_plugins = ["pytester"]
 
@@ -111,6 +112,7 @@ def test_every_mutation_of_a_function_is_found_without_its_head() -> None:
         changed(MUTATED, "total", [Change(operator, "", 1)])
     silent = ast.parse("def f(a):\n    return zip(a, strict=True)").body[0]
     assert [operator for operator, *_ in mutations(silent)] == ["first argument returned"]
+    assert list(mutations(ast.parse("def f(a):\n    return a").body[0])) == [], "it is returned as it stands"
     with pytest.raises(StaleChangeError, match="has 2 times: statement dropped"):
         changed(MUTATED, "total", [Change("statement dropped", "", 4)])
 
@@ -168,6 +170,17 @@ def test_a_test_runs_again_with_the_faults_of_what_it_calls(pytester: pytest.Pyt
     double = function_of("room.sums:double")
     assert double is not None
     assert double(4) == 8
+
+
+def test_a_method_whose_call_of_super_is_taken_out_runs_without_it(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    head = "class Kept(dict):\n    def __init__(self, x):\n"
+    (tree / "room/kept.py").write_text(f"{head}        super().__init__(x)\n")
+    monkeypatch.delitem(sys.modules, "room.kept", raising=False)
+    function = function_of("room.kept:Kept.__init__")
+    assert function is not None
+    function.__code__ = code_in(f"{head}        self.only = x\n", function)
+    made = importlib.import_module("room.kept").Kept({1: 2})
+    assert (made, made.only) == ({}, {1: 2})
 
 
 def test_a_fault_that_does_not_end_is_seen(
