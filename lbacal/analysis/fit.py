@@ -34,7 +34,7 @@ from lbacal_core.calibration.one_event import ErrorOfC, measure_error
 from lbacal_core.calibration.paths import LEAST_COVERAGE
 from lbacal_core.calibration.singles import MIN_EVENTS
 from lbacal_core.causes.model import Model
-from lbacal_core.curves.curves import CONVERGED, MISFIT, Anomalies, CalibrationCurve, FitReport
+from lbacal_core.curves.curves import CONVERGED, MISFIT, NOT_IDENTIFIABLE, Anomalies, CalibrationCurve, FitReport
 from lbacal_core.curves.galcal import describe_made_with
 from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.discovery.forward import divide_out
@@ -47,6 +47,8 @@ from lbacal_core.spectra.spectra import Spectra
 
 SCOPES = ("antenna", "station", "array")
 """What one curve may belong to."""
+UNKNOWN = "its power hardly follows the sky, or C is uncertain by more than half; an audit tells which paths are dead"
+"""Why the data of a path with enough events at enough sidereal times do not determine C."""
 NEXT_STEP = "lbacal.investigate(spectra, instrument).save('R.html')"
 """What to do where a curve is a misfit; the command says it in its own words."""
 
@@ -210,7 +212,8 @@ def _describe_rest(report: FitReport, simulation: Simulation, spectra: int) -> I
         if curve.c is None:
             events = f"{curve.events} events{f', {MIN_EVENTS} needed' if curve.events < MIN_EVENTS else ''}"
             needed = f", {LEAST_COVERAGE:.2f} needed" if curve.lst_coverage < LEAST_COVERAGE else ""
-            yield f"{curve.name}: {curve.status} ({events}, LST coverage {curve.lst_coverage:.2f}{needed})"
+            reason = "" if needed or curve.status != NOT_IDENTIFIABLE else f": {UNKNOWN}"
+            yield f"{curve.name}: {curve.status} ({events}, LST coverage {curve.lst_coverage:.2f}{needed}){reason}"
     reasons = [curve.merged.reason for curve in report.curves if curve.merged is not None]
     for reason in dict.fromkeys(reasons):
         yield f"{reasons.count(reason)} of {len(report.curves)} curves: {reason}"

@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -281,6 +282,18 @@ def test_c_over_h_is_the_same_with_another_g_ant(folder: Path, lbacal: Lbacal) -
     for one, other in zip(first, json.loads((folder / "fit.json").read_text())["curves"], strict=True):
         np.testing.assert_allclose(np.array(other["c"]) / one["c"], 2**0.5, rtol=1e-9)
         np.testing.assert_allclose(other["c_over_h"], one["c_over_h"], rtol=1e-9)
+
+
+def test_a_path_that_does_not_follow_the_sky_has_no_curve_and_a_reason(folder: Path, lbacal: Lbacal) -> None:
+    spectra = read_spectra(folder / "spectra.h5")
+    dead = spectra.antenna == 0
+    level = np.random.default_rng(1).normal(1.0, 0.02, spectra.power[dead].shape)
+    power = spectra.power.copy()
+    power[dead] = level * np.nanmean(spectra.power[dead], axis=0)
+    write_spectra(replace(spectra, power=power), folder / "spectra.h5")
+    code, out, _ = lbacal(*FIT)
+    assert code == 0
+    assert re.search(r"CS002 antenna 0 X: not_identifiable \(\d+ events, LST coverage 0.74\): its power hardly", out)
 
 
 def test_data_at_one_sidereal_time_end_with_their_coverage_and_a_report(folder: Path, lbacal: Lbacal) -> None:
