@@ -379,7 +379,7 @@ def _unexplained(structure: ResidualStructure, report: StationReport) -> dict[st
             "frequency_mhz": [float(strong.min()), float(strong.max())],
             "dates": [write_instant(float(times.min())), write_instant(float(times.max()))],
         },
-        "description": f"structure along {structure.axis_name} in {_place(structure, station.name)} that no cause "
+        "description": f"{structure.in_words} in {_place(structure, station.name)} that no cause "
         f"of the catalogue explains, strongest at {strong.min():.0f}-{strong.max():.0f} MHz",
         "gain": {
             "chi2": structure.gain,
@@ -413,7 +413,7 @@ def _said(description: Description, report: StationReport) -> dict[str, Any]:
     if (growth := description.grows_with_number) is not None and abs(growth) > GROWS:
         words += f" Antennas show it by an amount that grows with their number (correlation {growth:.2f})."
     if description.remains is not None:
-        words += f" Beside it structure along {description.remains.axis_name} remains."
+        words += f" Beside it {description.remains.in_words} remains."
         found["remains"] = {"axis": description.remains.axis_name, "p_value": description.remains.p_value}
     if (decider := description.decider) is not None:
         found["would_decide"] = (

@@ -164,6 +164,11 @@ class ResidualStructure:
         """Name in a report."""
         return EVENTS if self.axis is None else self.axis.name
 
+    @property
+    def in_words(self) -> str:
+        """Its axis in a sentence."""
+        return "structure of single events, along no axis," if self.axis is None else f"structure along {self.axis.name}"
+
 
 def find_structure(
     model: LinearModel, rng: np.random.Generator, alpha: float, again: float | None = None, along: Collection[str] = ()
