@@ -325,7 +325,7 @@ def _fit_chain(
     """
     known, terms, instrument = paths.fits, simulation.noise, simulation.instrument
     forms = chain_forms(instrument)
-    lines = fit_lines(paths.power, sky, paths.relative_variance, forms) if known is None else known.lines
+    lines = known.lines if known else fit_lines(paths.power, sky, paths.relative_variance, forms, paths.time_unix)
     lines = lines.weigh(share)
     status = np.full(len(paths.owners), CONVERGED, dtype=object)
     status[~_sees_the_sky_vary(lines)] = NOT_IDENTIFIABLE

@@ -15,6 +15,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from lbacal_core.calibration.gain_memory import add_variance, find_variance_along
 from lbacal_core.grids import Floats
 from lbacal_core.linear import find_whitener, solve_symmetric
 from lbacal_core.simulation.prior import SKY_HARMONICS
@@ -248,7 +249,13 @@ class Lines:
         return self.slope[:, None, :] * sky_power + self.intercept[:, None, :]
 
 
-def fit_lines(power: Floats, sky_power: Floats, relative_variance: Floats, chain: ChainForms | None = None) -> Lines:
+def fit_lines(
+    power: Floats,
+    sky_power: Floats,
+    relative_variance: Floats,
+    chain: ChainForms | None = None,
+    time_unix: Floats | None = None,
+) -> Lines:
     """Fit the lines by generalised least squares with noise levels estimated from the data.
 
     The weights come from lines fitted without weights (right to 1 %), not from the recorded power, which would favour
@@ -264,10 +271,12 @@ def fit_lines(power: Floats, sky_power: Floats, relative_variance: Floats, chain
         Variance of the radiometer noise over that of the typical spectrum, shape (path, event); infinite where absent.
     chain
         The form of the chain along frequency; None where it is not known, such as for an LST curve.
+    time_unix
+        Shape (event,); errors then cover gains that last for hours (`gain_memory`).
     """
     chain = chain or ChainForms(np.zeros(power.shape[2]), np.ones(power.shape[2]))
     parts = [slice(k, k + PATHS_AT_ONCE) for k in range(0, power.shape[0], PATHS_AT_ONCE)]
-    lines = [_fit_part(power[part], sky_power, relative_variance[part], chain) for part in parts]
+    lines = [_fit_part(power[part], sky_power, relative_variance[part], chain, time_unix) for part in parts]
     return Lines(
         np.concatenate([part.slope for part in lines]),
         np.concatenate([part.intercept for part in lines]),
@@ -283,7 +292,9 @@ def fit_lines(power: Floats, sky_power: Floats, relative_variance: Floats, chain
     )
 
 
-def _fit_part(power: Floats, sky_power: Floats, relative_variance: Floats, chain: ChainForms) -> Lines:
+def _fit_part(
+    power: Floats, sky_power: Floats, relative_variance: Floats, chain: ChainForms, time_unix: Floats | None
+) -> Lines:
     slope, intercept = _unweighted_lines(power, sky_power, np.isfinite(relative_variance).astype(float))
     mean_sky = sky_power.mean(axis=0)
     behind = _behind(slope, intercept, mean_sky, chain)
@@ -296,9 +307,33 @@ def _fit_part(power: Floats, sky_power: Floats, relative_variance: Floats, chain
     residual -= 1.0
     levels = estimate_noise_levels(residual, relative_variance, 2, seeds)
     shared = SharedNoise.of(levels, seeds, behind, chain)
+    wider = None if time_unix is None else _find_wider(residual, sky_power, relative_variance, levels, time_unix)
     gradient, information = _weigh_events(residual, sky_power, inverse_model, relative_variance, levels, shared)
     step = _solve(information, gradient)
-    return Lines(slope + step[:, 0], intercept + step[:, 1], information, levels, shared)
+    slope, intercept = slope + step[:, 0], intercept + step[:, 1]
+    if wider is not None:
+        level = (slope * mean_sky + intercept)[:, None] * levels.vectors
+        directions = np.concatenate([level / mean_sky, -level], axis=2)
+        for k in np.flatnonzero(wider.any(axis=0)).tolist():
+            information = add_variance(information, directions[:, k], wider[:, k])
+    return Lines(slope, intercept, information, levels, shared)
+
+
+def _find_wider(
+    residual: Floats, sky_power: Floats, relative_variance: Floats, levels: NoiseLevels, time_unix: Floats
+) -> Floats:
+    """Variance by gains that last of a slope times the mean sky over the power, shape (path, vector).
+
+    In units of the vectors of the noise; what a slope takes is taken from its intercept.
+    """
+    weighted = levels.vectors / levels.radiometer[:, None] ** 2
+    size = np.sum(weighted * levels.vectors, axis=2)
+    amount = np.matmul(residual, weighted.transpose(0, 2, 1))
+    amount[~np.isfinite(relative_variance)] = np.nan
+    course = (sky_power / sky_power.mean(axis=0)).mean(axis=1)
+    wider, at = np.zeros(size.shape), np.nonzero(size > 0)
+    wider[at] = find_variance_along(amount.transpose(0, 2, 1)[at], course, time_unix)
+    return wider * (1.0 + size) / np.where(size > 0, size, 1.0)
 
 
 def continue_lines(lines: Lines, power: Floats, sky_power: Floats, relative_variance: Floats) -> Lines:

@@ -83,7 +83,8 @@ def _fit_singles(block: SpectraBlock, simulation: Simulation, typical_blocks: fl
     screened = screen_block(block, longitude_deg)
     kept = screened.block
     sky = simulation.sky_at(block.station, block.dipole, block.time_unix)
-    lines = fit_lines(kept.power, sky, relative_variance_of(kept, typical_blocks), chain_forms(simulation.instrument))
+    forms, relative_variance = chain_forms(simulation.instrument), relative_variance_of(kept, typical_blocks)
+    lines = fit_lines(kept.power, sky, relative_variance, forms, kept.time_unix)
     at = np.flatnonzero(kept.is_present.sum(axis=1) >= MIN_EVENTS)
     terms = simulation.noise
     return SingleFits(

@@ -167,7 +167,9 @@ class ResidualStructure:
     @property
     def in_words(self) -> str:
         """Its axis in a sentence."""
-        return "structure of single events, along no axis," if self.axis is None else f"structure along {self.axis.name}"
+        return (
+            "structure of single events, along no axis," if self.axis is None else f"structure along {self.axis.name}"
+        )
 
 
 def find_structure(
