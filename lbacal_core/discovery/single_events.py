@@ -67,7 +67,7 @@ def find_memory(station: Station, white: Floats, vectors: Floats, smooth: Floats
 
     Returns
     -------
-    None where too few events have neighbours.
+    None where too few events have neighbours, or the axes of the data leave nothing of them.
     """
     order = np.argsort(station.conditions.time_unix)
     neighbours = Neighbours.of(station.conditions.time_unix[order], WITHIN_S)
@@ -80,7 +80,10 @@ def find_memory(station: Station, white: Floats, vectors: Floats, smooth: Floats
     amount = np.clip((amount - amount.mean(axis=0)) @ turned / np.sqrt(values), -LARGEST, LARGEST)
     profiles = station.profiles_of_axes[order]
     amount -= profiles @ (profiles.T @ amount)
-    amount /= np.sqrt(np.sum(amount**2, axis=0) / (len(amount) - profiles.shape[1]))
+    left, freedom = np.sum(amount**2, axis=0), len(amount) - profiles.shape[1]
+    if freedom <= 0 or np.any(left <= SMALLEST_TOTAL):
+        return None
+    amount /= np.sqrt(left / freedom)
     mean, variance, skewness = neighbours.cumulants(profiles)
     together = amount.T @ neighbours.next_to(amount) - mean * np.eye(len(basis))
     sizes, directions = np.linalg.eigh(together / variance**0.5)

@@ -138,6 +138,7 @@ class Spectra:
         self._require_covariates(rows)
         self._require_widths_and_durations(rows)
         self._require_unique_keys()
+        self._require_no_copies()
 
     def _require_widths_and_durations(self, rows: int) -> None:
         for name, values, size in (
@@ -189,6 +190,20 @@ class Spectra:
             row = int(np.flatnonzero(self._keys == repeated[0])[1])
             expected = "one spectrum per event, station, antenna and dipole"
             raise BadInputError(f"{self.origin}: row {row}", expected, f"{self.name_row(row)} again")
+
+    def _require_no_copies(self) -> None:
+        """Refuse a spectrum that stands under the names of two events: neither's noise is its own."""
+        of_first = self.power[:, 0]
+        if np.unique(of_first).size == len(self):
+            return
+        path = self._keys // self.key_codes["event_id"][0].size
+        order = np.lexsort((path, self.time_unix, of_first))
+        is_same = [np.diff(values[order]) == 0 for values in (path, self.time_unix, of_first)]
+        for k in np.flatnonzero(np.all(is_same, axis=0)).tolist():
+            one, other = order[k], order[k + 1]
+            if np.array_equal(self.power[one], self.power[other]):
+                found = f"{self.name_row(one)}, with its instant and power again as {self.event_id[other]}"
+                raise BadInputError(f"{self.origin}: row {other}", "each spectrum once", found)
 
     def name_row(self, row: int) -> str:
         """Event, station, antenna and dipole of a row, in words."""

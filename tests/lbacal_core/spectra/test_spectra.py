@@ -266,7 +266,7 @@ def test_a_highly_compressible_file_is_not_taken_for_an_unwritten_one(two_statio
         two_stations.frequency_mhz,
         np.ones((rows, 4)),
         np.array([f"e{k}" for k in range(rows)]),
-        np.full(rows, two_stations.time_unix[0]),
+        two_stations.time_unix[0] + np.arange(rows),
         np.full(rows, "CS002"),
         np.zeros(rows, dtype=np.int64),
         np.full(rows, "X"),
@@ -276,6 +276,17 @@ def test_a_highly_compressible_file_is_not_taken_for_an_unwritten_one(two_statio
     with h5py.File(tmp_path / "s.h5", "a") as file:
         put("power", many.power, compression="gzip", compression_opts=9, chunks=(rows, 4))(file)
     assert read_spectra(tmp_path / "s.h5").digest() == many.digest() != two_stations.digest()
+
+
+def test_a_spectrum_under_the_names_of_two_events_is_refused_and_one_of_the_same_instant_is_not(two_stations):
+    twice = np.append(np.arange(ROWS), 5)
+    names = "time_unix", "station", "antenna", "dipole", "blocks", "power"
+    own = {name: getattr(two_stations, name)[twice] for name in names} | {"environment": {}}
+    own["event_id"] = np.append(two_stations.event_id, "processed again")
+    with pytest.raises(BadInputError, match="row 24: expected each spectrum once, found event 0, .* processed again"):
+        replace(two_stations, **own)
+    own["power"] = np.append(own["power"][:-1], 1.01 * own["power"][-1:], axis=0)
+    assert len(replace(two_stations, **own)) == ROWS + 1
 
 
 def test_a_time_within_the_next_day_is_welcome(two_stations, path):
