@@ -102,9 +102,11 @@ class CurveTable(QTable):  # type: ignore[misc] # astropy has no types
         """
         curve, first, last = curve_of(self), *(convert_number(one, u.MHz) for one in (low, high))
         nu = curve.frequency_mhz
+        step = np.diff(nu).max(initial=0.0)
         inside = (nu >= first) & (nu <= last) & curve.has_value & (curve.flags != INTERFERENCE)
-        if not np.any(inside):
-            raise BadInputError("mean", f"channels between {nu[0]:g} and {nu[-1]:g} MHz", f"{first:g} to {last:g} MHz")
+        if not np.any(inside) or first <= nu[0] - step or last >= nu[-1] + step:
+            expected = f"a band with a channel that has C, within {nu[0]:g} to {nu[-1]:g} MHz"
+            raise BadInputError("mean", expected, f"{first:g} to {last:g} MHz")
         return _combine(self, curve, inside[None] / inside.sum(), nu[inside] * u.MHz, is_one=True)
 
     def at(self, frequency: Any) -> CalibrationValue:

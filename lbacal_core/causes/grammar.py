@@ -29,6 +29,8 @@ SIDEREAL, SOLAR, WEEK, YEAR = "LST", "UTC", "week", "year"
 ROTATION, LUNATION = "solar rotation", "lunation"
 PERIODS_D = {SOLAR: 1.0, WEEK: 7.0, ROTATION: 27.275, LUNATION: 29.5306, YEAR: 365.25}
 """Periods of clocks that run with UTC, days: the Sun's rotation seen from Earth (Carrington) and the synodic month."""
+FEWEST_DAYS = 12
+"""Days with events from which a wave of many days is tried: two harmonics and a level have five numbers."""
 MONDAY_S = 4 * DAY_S
 """The first Monday of the Unix epoch, which began on a Thursday."""
 
@@ -236,9 +238,11 @@ def _near(conditions: Conditions, clock: str, middle: float, width: float) -> Fl
 
 
 def _clocks(conditions: Conditions) -> list[str]:
-    """Clocks that a search tries: of those with long periods only what the data hold twice, and a year as a whole."""
+    """Clocks that a search tries: of those with long periods only what many days show twice, and a year as a whole."""
     span_d = float(np.ptp(conditions.time_unix)) / DAY_S
-    return [SIDEREAL, *(name for name, days in PERIODS_D.items() if span_d > (0.8 if name == YEAR else 2.0) * days)]
+    most = np.inf if np.unique(conditions.time_unix // DAY_S).size >= FEWEST_DAYS else 1.0
+    clocks = {name: days for name, days in PERIODS_D.items() if days <= most}
+    return [SIDEREAL, *(name for name, days in clocks.items() if span_d > (0.8 if name == YEAR else 2.0) * days)]
 
 
 def _waves(conditions: Conditions) -> list[tuple[str, int, float]]:

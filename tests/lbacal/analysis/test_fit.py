@@ -177,6 +177,10 @@ def test_a_part_of_a_curves_channels_has_no_mean_and_says_how_to_ask(found):
         curve[curve["frequency_mhz"] > 60 * u.MHz].mean(60, 70)
     with pytest.raises(BadInputError, match="expected one in MHz, or a number"):
         curve.mean("low", 70)
+    for band in ((10, 90), (60, 95), (55.2, 55.3)):
+        with pytest.raises(BadInputError, match="a band with a channel that has C, within 50 to 79 MHz, found"):
+            curve.mean(*band)
+    assert curve.mean(49.5, 79.5).c == curve.mean(50, 79).c
 
 
 def test_an_ending_says_the_format_and_an_unknown_one_is_refused(found, tmp_path):

@@ -7,7 +7,7 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 import pytest
 
-from lbacal_core.causes.axes import list_axes
+from lbacal_core.causes.axes import DAY_S, list_axes
 from lbacal_core.causes.cause import Template, signature
 from lbacal_core.causes.grammar import (
     COURSES,
@@ -16,6 +16,9 @@ from lbacal_core.causes.grammar import (
     PLACES,
     PRODUCT,
     SERIES,
+    SIDEREAL,
+    SOLAR,
+    WEEK,
     Sentence,
     as_equation,
     axis_of,
@@ -164,6 +167,14 @@ def test_courses_are_what_they_say(conditions):
     np.testing.assert_allclose(
         course_of(conditions, ("near", "solar rotation", 0.5, 0.08)), np.exp(-0.5 * (away / 0.08) ** 2)
     )
+
+
+def test_four_days_of_a_year_try_no_wave_of_many_days(conditions):
+    """Own gains of four days were a wave of the Sun's rotation, near a day of the lunation, at 60 sigma."""
+    days = (np.array([20.0, 110.0, 111.0, 250.0])[np.arange(conditions.time_unix.size) % 4] + 16_000.0) * DAY_S
+    few = replace(conditions, time_unix=days + conditions.time_unix % DAY_S)
+    assert {clock for clock, *_ in COURSES["wave"].grid(few)} == {SIDEREAL, SOLAR}
+    assert {clock for clock, *_ in COURSES["wave"].grid(conditions)} > {SIDEREAL, SOLAR, WEEK}
 
 
 def test_an_unknown_column_counts_as_nothing(conditions):
