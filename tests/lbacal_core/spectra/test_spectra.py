@@ -283,7 +283,7 @@ def test_a_spectrum_under_the_names_of_two_events_is_refused_and_one_of_the_same
     names = "time_unix", "station", "antenna", "dipole", "blocks", "power"
     own = {name: getattr(two_stations, name)[twice] for name in names} | {"environment": {}}
     own["event_id"] = np.append(two_stations.event_id, "processed again")
-    with pytest.raises(BadInputError, match="row 24: expected each spectrum once, found event 0, .* processed again"):
+    with pytest.raises(BadInputError, match=r"row 24: expected each spectrum once, found event 0, .* processed again"):
         replace(two_stations, **own)
     own["power"] = np.append(own["power"][:-1], 1.01 * own["power"][-1:], axis=0)
     assert len(replace(two_stations, **own)) == ROWS + 1
