@@ -28,7 +28,7 @@ class Line:
         Natural logarithm of the odds against the claim on record: of what is wrong, or else of the likeliest mistake.
         None where nothing was compared.
     value, sigma, unit
-        Size, where there is one.
+        Size, where there is one; its error covers that of other possibilities that the data do not tell apart.
     candidates
         Checks of which the data cannot say which one is wrong, where there are several.
     sentence
@@ -100,6 +100,7 @@ _CHECKS = {
     "latitude for longitude": "place",
     "dB": "unit",
     "volt": "unit",
+    "arm": "arms",
 }
 
 
@@ -115,6 +116,8 @@ class Possibility:
         Size of a clock (h) or of turned arms (deg); of a place, the clock that would look like it (h).
     fits
         Whether it describes the data, and not only better than the record does.
+    dipole
+        The arm that is turned alone.
     """
 
     kind: str
@@ -122,6 +125,7 @@ class Possibility:
     value: float | None = None
     sigma: float | None = None
     fits: bool = True
+    dipole: str | None = None
 
     @property
     def check(self) -> str:
@@ -179,17 +183,20 @@ def conclude(
         return [Line(RECORD, WRONG, station, sentence, log_odds=gain, candidates=kinds)]
     best = alike[0]
     sentence = "; or ".join(describe(one) for one in alike)
-    unit = {"clock": "h", "arms": "deg"}.get(best.kind, "")
+    unit = {"clock": "h", "arms": "deg"}.get(best.check, "")
     value = best.value if unit else None
+    turns = [(one.value or 0.0) - (best.value or 0.0) for one in alike]
+    apart = max(abs((turn + RIGHT_ANGLE) % (2 * RIGHT_ANGLE) - RIGHT_ANGLE) for turn in turns)
     return [
         Line(
             best.check,
             WRONG,
             station,
             sentence,
+            dipole=best.dipole,
             log_odds=gain,
             value=value,
-            sigma=best.sigma,
+            sigma=math.hypot(best.sigma or 0.0, apart) if unit else None,
             unit=unit,
             kind=best.kind,
         )
@@ -232,8 +239,9 @@ def describe(one: Possibility) -> str:
     value, sigma = one.value or 0.0, one.sigma or 0.0
     if one.kind == "clock":
         return f"sidereal time is {60 * value:+.0f} +- {60 * sigma:.0f} min from that of clock and longitude on record"
-    if one.kind == "arms":
-        return f"both arms are turned by {value:+.0f} +- {sigma:.0f} deg (north through east) from the record"
+    if one.check == "arms":
+        turned = "both arms are" if one.dipole is None else f"the arm of {one.dipole} alone is"
+        return f"{turned} turned by {value:+.0f} +- {sigma:.0f} deg (north through east) from the record"
     return {
         "exchange": "X and Y are exchanged at every antenna, or both arms are turned by 90 deg",
         "latitude sign": "the latitude has the wrong sign",

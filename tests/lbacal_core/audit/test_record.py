@@ -56,6 +56,12 @@ def test_arms_are_turned_and_a_place_is_moved_back(spectra, known):
     assert (error.cause.identifier, value) == ("dipole_azimuth", pytest.approx(-40.0, abs=4 * sigma))
     arms = right.simulation.instrument.dipole_azimuth_deg
     assert arms == {name: pytest.approx(one, abs=4 * sigma) for name, one in known.dipole_azimuth_deg.items()}
+    arms = known.dipole_azimuth_deg
+    one_arm = replace(known, dipole_azimuth_deg={**arms, "Y": arms["Y"] + 40.0})
+    right = put_right(spectra, Simulation(one_arm))
+    (error,) = right.errors
+    corrected = right.simulation.instrument.dipole_azimuth_deg
+    assert corrected == {"X": arms["X"], "Y": pytest.approx(arms["Y"], abs=4 * error.line.sigma)}
     south = replace(known, latitude_deg=-known.latitude_deg)
     right = put_right(spectra, Simulation(south))
     assert [one.cause.identifier for one in right.errors] == ["site"]
