@@ -143,6 +143,7 @@ def _correct(spectra: Spectra, instrument: Instrument, line: Line) -> tuple[Spec
     if line.kind == EXCHANGE:
         one, other = instrument.dipoles
         is_wrong = np.isin(spectra.antenna, line.antennas) if line.antennas else np.ones(len(spectra), dtype=bool)
+        is_wrong &= line.is_during(spectra.time_unix)
         exchanged = np.where(spectra.dipole == one, other, one)
         return replace(spectra, dipole=np.where(is_wrong, exchanged, spectra.dipole)), instrument
     if line.value is not None and line.unit == "h":

@@ -7,6 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from lbacal_core.grids import Floats
+
 # One line of an audit: what was asked, of whom, the answer and how sure it is.
 
 WRONG, UNDECIDED, RIGHT = "wrong", "undecided", "right"
@@ -35,6 +40,8 @@ class Line:
         The answer in words, and for `undecided` what would decide.
     kind
         The `Possibility` that is better than the record.
+    since_unix, until_unix
+        When it begins or ends, s UTC, where that lies within the data.
     """
 
     check: str
@@ -49,6 +56,13 @@ class Line:
     unit: str = ""
     candidates: tuple[str, ...] = ()
     kind: str = ""
+    since_unix: float | None = None
+    until_unix: float | None = None
+
+    def is_during(self, time_unix: Floats) -> NDArray[np.bool_]:
+        """Whether it concerns instants, same shape, s UTC."""
+        since, until = self.since_unix, self.until_unix
+        return (time_unix >= (-np.inf if since is None else since)) & (time_unix < (np.inf if until is None else until))
 
     def as_dict(self) -> dict[str, Any]:
         """Describe the line as JSON values, all but `kind` under their names here."""
@@ -62,6 +76,8 @@ class Line:
             "value": None if self.value is None else float(f"{self.value:.4g}"),
             "sigma": None if self.sigma is None else float(f"{self.sigma:.2g}"),
             "unit": self.unit,
+            "since_unix": self.since_unix,
+            "until_unix": self.until_unix,
             "candidates": list(self.candidates),
             "sentence": self.sentence,
         }

@@ -35,6 +35,13 @@ def test_exchanged_letters_are_exchanged_back(spectra, known, chosen):
     assert "(ln odds +" in error.sentence
 
 
+def test_letters_exchanged_until_a_date_are_exchanged_back_until_then(spectra, known):
+    times = np.unique(spectra.time_unix)
+    right = put_right(exchange(spectra, (spectra.antenna == 1) & (spectra.time_unix < times[11])), Simulation(known))
+    assert [one.label for one in right.errors] == ["antennas 1"]
+    assert list(right.spectra.dipole) == list(spectra.dipole)
+
+
 def test_a_clock_that_is_off_is_set_by_its_size(spectra, known):
     late = replace(spectra, time_unix=spectra.time_unix + 5 * 3600.0)
     right = put_right(late, Simulation(known))
