@@ -148,11 +148,22 @@ class Possibility:
         """Which question of the audit it answers."""
         return _CHECKS.get(self.kind, self.kind)
 
+    @property
+    def checks(self) -> tuple[str, ...]:
+        """The questions that it may answer: power of X and Y that is mixed looks like one arm along the other."""
+        is_along = self.kind == "arm" and self.is_right_angle
+        return ("exchange", self.check) if is_along else (self.check,)
+
+    @property
+    def is_right_angle(self) -> bool:
+        """Whether its size is that of arms turned by a right angle."""
+        return RIGHT_ANGLE - abs(self.value or 0.0) < max(NEAR_RIGHT, SAME_SIGMAS * (self.sigma or 0.0))
+
     def is_chance_of(self, other: Possibility) -> bool:
         """Whether its size is just that which another possibility, which has no free size, explains."""
         value, sigma = self.value or 0.0, self.sigma or 0.0
         if self.kind == "arms" and other.kind == "exchange":
-            return RIGHT_ANGLE - abs(value) < max(NEAR_RIGHT, SAME_SIGMAS * sigma)
+            return self.is_right_angle
         if self.kind == "clock" and other.check == "place" and other.value:
             is_near = abs(value - other.value) < max(SAME_H, SAME_SIGMAS * sigma)
             return is_near and other.log_likelihood >= self.log_likelihood
@@ -192,10 +203,10 @@ def conclude(
     clock = next((one for one in possibilities if one.kind == "clock"), None)
     if clock is not None and {one.kind for one in alike} <= SHIFTS:
         return [_tell_shift(station, clock, [one for one in alike if one is not clock], gain)]
-    if len({one.check for one in alike}) > 1:
+    kinds = tuple(dict.fromkeys(check for one in alike for check in one.checks))
+    if len(kinds) > 1:
         words = "; or ".join(describe(one) for one in alike)
         sentence = f"the record is wrong, and these data do not say where: {words}; a sidereal day would"
-        kinds = tuple(dict.fromkeys(one.check for one in alike))
         return [Line(RECORD, WRONG, station, sentence, log_odds=gain, candidates=kinds)]
     best = alike[0]
     sentence = "; or ".join(describe(one) for one in alike)
@@ -257,7 +268,8 @@ def describe(one: Possibility) -> str:
         return f"sidereal time is {60 * value:+.0f} +- {60 * sigma:.0f} min from that of clock and longitude on record"
     if one.check == "arms":
         turned = "both arms are" if one.dipole is None else f"the arm of {one.dipole} alone is"
-        return f"{turned} turned by {value:+.0f} +- {sigma:.0f} deg (north through east) from the record"
+        mixed = "power of X and Y is mixed, or " if len(one.checks) > 1 else ""
+        return f"{mixed}{turned} turned by {value:+.0f} +- {sigma:.0f} deg (north through east) from the record"
     return {
         "exchange": "X and Y are exchanged at every antenna, or both arms are turned by 90 deg",
         "latitude sign": "the latitude has the wrong sign",

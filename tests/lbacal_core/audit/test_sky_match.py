@@ -263,6 +263,13 @@ def test_arms_that_may_be_turned_together_or_one_alone_have_an_error_that_covers
     assert "or the arm of X alone is turned by -11 +- 1 deg" in line.sentence
 
 
+def test_one_arm_along_the_other_may_be_mixed_power_and_no_arm_is_named():
+    """X and Y that are mixed by halves see the same, as with one arm turned by a right angle."""
+    (line,) = conclude("CS002", 0.0, [Possibility("arm", 41.0, -88.0, 3.0, dipole="Y"), Possibility("arms", 2.0, 3.0)])
+    assert (line.check, line.candidates, line.kind) == ("record", ("exchange", "arms"), "")
+    assert "power of X and Y is mixed, or the arm of Y alone is turned by -88 +- 3 deg" in line.sentence
+
+
 def test_arms_turned_by_about_a_right_angle_are_an_exchange_of_letters():
     (line,) = conclude("CS002", 0.0, [Possibility("arms", 41.0, -80.0, 6.0), Possibility("exchange", 40.0)])
     assert line.check == "exchange"
