@@ -91,7 +91,7 @@ CAUSES_OF_CHECK = {
 }  # fmt: skip
 """What a line of the audit says, in the words of the catalogue. Paths that do not work have no cause."""
 CAUSES_OF_WORDS = {
-    "exchanged at": "dipole_swap", "sidereal time is": "lst_offset", "arms are turned": "dipole_azimuth",
+    "exchanged at": "dipole_swap", "sidereal time is": "lst_offset", "turned by": "dipole_azimuth",
     "latitude": "site", "longitude has": "lst_offset", "the antenna is like": "pattern_width",
 }  # fmt: skip
 """The same of the likely mistakes of a fit."""

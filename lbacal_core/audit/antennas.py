@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
 import numpy as np
@@ -315,6 +316,22 @@ TAIL = 4.0
 """Degrees of freedom of Student's t."""
 SMALLEST_SLOPE_ERROR = 0.1
 """Antennas do not follow the median closer than this: coupling between neighbours, sky noise."""
+DATE_SIGMA, TINY = 3.0, 1e-12
+"""Standard deviations by which instants before and after a date are told to lie on the wrong side of it."""
+
+
+@dataclass(frozen=True)
+class ExchangedPart:
+    """Log odds that the dipoles of an antenna, by its row, are exchanged since or until a date, s UTC.
+
+    They are those of the less certain of the two parts; the date lies `between_unix`.
+    """
+
+    row: int
+    at_unix: float
+    between_unix: tuple[float, float]
+    is_since: bool
+    odds: float
 
 
 @dataclass(frozen=True)
@@ -327,10 +344,13 @@ class ExchangeOdds:
         Rows of the antennas that were compared.
     odds
         The odds of these antennas, shape (antenna,); the sky decides which of the two groups is exchanged.
+    dated
+        Antennas that differ from most before or after a date only, which are none of `rows`.
     """
 
     rows: NDArray[np.int64]
     odds: Floats
+    dated: Sequence[ExchangedPart] = ()
 
     def exchanged(self) -> NDArray[np.int64]:
         """Select those of `rows`, shape (exchanged,), whose antennas differ from most."""
@@ -338,7 +358,8 @@ class ExchangeOdds:
 
     def flipped(self) -> ExchangeOdds:
         """Reverse the odds, for a station of which most antennas are exchanged."""
-        return ExchangeOdds(self.rows, -self.odds)
+        dated = [replace(one, is_since=not one.is_since) for one in self.dated]
+        return ExchangeOdds(self.rows, -self.odds, dated)
 
 
 def compare_polarisations(station: AuditedStation, is_usable: NDArray[np.bool_]) -> ExchangeOdds:
@@ -353,9 +374,16 @@ def compare_polarisations(station: AuditedStation, is_usable: NDArray[np.bool_])
     if rows.size == 0 or len(station.dipoles) != PAIR:
         return ExchangeOdds(rows, np.zeros(0))
     ratio = np.nanmean(np.log(station.power[rows, 0]) - np.log(station.power[rows, 1]), axis=-1)
-    odds, sign = _odds_of_changes(ratio)
-    odds += _odds_of_values(ratio, sign)
-    return ExchangeOdds(rows, odds if np.sum(odds > 0) <= rows.size / 2 else -odds)
+    common = _find_common_change(ratio)
+    if common is None:
+        odds, is_with = np.zeros(rows.size), np.ones(rows.size, dtype=bool)
+    else:
+        odds, is_with = -2.0 * common.slope / common.error**2, common.slope > 0
+    odds = odds + _odds_of_values(ratio, is_with)
+    dated = [] if common is None else _find_dated(rows, ratio, common, station.time_unix)
+    is_whole = ~np.isin(rows, [one.row for one in dated])
+    exchange = ExchangeOdds(rows[is_whole], odds[is_whole], dated)
+    return exchange if np.sum(exchange.odds > 0) <= is_whole.sum() / 2 else exchange.flipped()
 
 
 def tell_exchanged(station: AuditedStation, exchange: ExchangeOdds) -> list[Line]:
@@ -369,6 +397,7 @@ def tell_exchanged(station: AuditedStation, exchange: ExchangeOdds) -> list[Line
         sentence = f"X and Y are exchanged at {_list_antennas(found)}{_describe(station, exchange)}"
         least = float(exchange.odds[exchange.odds > CERTAIN].min())
         lines.append(Line("exchange", WRONG, station.name, sentence, found, log_odds=least, kind="exchange"))
+    lines += [_tell_dated(station, one) for one in exchange.dated]
     unknown = np.abs(exchange.odds) <= CERTAIN
     if unknown.any():
         silent = tuple(int(a) for a in station.antennas[exchange.rows[unknown]])
@@ -378,29 +407,101 @@ def tell_exchanged(station: AuditedStation, exchange: ExchangeOdds) -> list[Line
     return lines
 
 
-def _odds_of_changes(ratio: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    """Log odds, shape (antenna,), of the group of the fewer; and who runs with the strongest common change.
+def _tell_dated(station: AuditedStation, one: ExchangedPart) -> Line:
+    """The exchange of an antenna in a part of the time."""
+    first, last = (f"{datetime.fromtimestamp(at, UTC):%Y-%m-%d %H:%M}" for at in one.between_unix)
+    antenna, word = int(station.antennas[one.row]), "since" if one.is_since else "until"
+    return Line(
+        "exchange",
+        WRONG,
+        station.name,
+        f"X and Y are exchanged at antenna {antenna} {word} a date between {first} and {last} UTC",
+        antennas=(antenna,),
+        log_odds=one.odds,
+        kind="exchange",
+        since_unix=one.at_unix if one.is_since else None,
+        until_unix=None if one.is_since else one.at_unix,
+    )
 
-    Parameters
+
+@dataclass(frozen=True)
+class CommonChange:
+    """The change of ln P_X - ln P_Y with time that antennas share, and how each follows it.
+
+    Attributes
     ----------
-    ratio
-        Shape (antenna, time). The common change is its first principal component, which does not care how many run
-        against it.
+    change
+        Shape (time,), of a typical antenna.
+    slope
+        Slope of each antenna on it, shape (antenna,): negative for those that run against it.
+    likeness, error
+        How closely working antennas follow it; and that with the noise.
+    """
+
+    change: Floats
+    slope: Floats
+    likeness: float
+    error: float
+
+
+def _find_common_change(ratio: Floats) -> CommonChange | None:
+    """The first principal component of a ratio of shape (antenna, time); None where noise alone could be as large.
+
+    It does not care how many antennas run against it.
     """
     own = ratio - np.nanmean(ratio, axis=1, keepdims=True)
     own = np.where(np.isfinite(own), own, 0.0)
     if ratio.shape[1] < FEWEST_TIMES or not own.any():
-        return np.zeros(ratio.shape[0]), np.ones(ratio.shape[0], dtype=bool)
+        return None
     loadings, strengths, changes = np.linalg.svd(own, full_matrices=False)
     rest = own - strengths[0] * np.outer(loadings[:, 0], changes[0])
     noise = float(np.median(spread(rest, axis=1)))
     if strengths[0] < ABOVE_NOISE * noise * (own.shape[0] ** 0.5 + own.shape[1] ** 0.5):
-        return np.zeros(ratio.shape[0]), np.ones(ratio.shape[0], dtype=bool)
+        return None
     typical = float(np.median(np.abs(loadings[:, 0])))
     slope = loadings[:, 0] / typical
-    scatter = float(spread(np.abs(slope)))
-    error = np.hypot(max(SMALLEST_SLOPE_ERROR, scatter), noise / (typical * strengths[0]))
-    return np.asarray(-2.0 * slope / error**2), slope > 0
+    likeness = max(SMALLEST_SLOPE_ERROR, float(spread(np.abs(slope))))
+    error = float(np.hypot(likeness, noise / (typical * strengths[0])))
+    return CommonChange(typical * strengths[0] * changes[0], slope, likeness, error)
+
+
+def _find_dated(rows: NDArray[np.int64], ratio: Floats, common: CommonChange, time: Floats) -> list[ExchangedPart]:
+    """Antennas that run with the common change before a date and against it after, or the other way round.
+
+    Each has a level and a slope before and after every instant; the date is where they leave the least. A slope says
+    less where the common change is small in one of the parts.
+    """
+    found = []
+    for row, values in zip(rows, ratio, strict=True):
+        known = np.flatnonzero(np.isfinite(values))
+        splits = np.arange(FEWEST_BESIDE, known.size - FEWEST_BESIDE + 1)
+        if splits.size == 0:
+            continue
+        seen, own = common.change[known], values[known]
+        before, after = _fit_lines(seen, own)[:, splits - 1], _fit_lines(seen[::-1], own[::-1])[:, -splits - 1]
+        left = before[2] + after[2]
+        k = int(np.argmin(left))
+        variance = max(left[k], 0.0) / known.size
+        slope, power, _ = np.stack([before[:, k], after[:, k]], axis=-1)
+        count = np.array([splits[k], known.size - splits[k]])
+        error = np.sqrt((common.likeness**2 * np.var(seen) * count + variance) / np.maximum(power, TINY))
+        odds = -2.0 * slope / error**2
+        is_sure = np.abs(odds) > CERTAIN + np.log(splits.size)
+        if odds.prod() > 0 or not np.all(is_sure & (np.abs(np.abs(slope) - 1.0) < FITS_SIGMA * error)):
+            continue
+        near = splits[left - left[k] <= DATE_SIGMA**2 * variance]
+        last, first, earliest, latest = time[known[[splits[k] - 1, splits[k], near[0] - 1, near[-1]]]].tolist()
+        is_since, least = bool(odds[1] > 0), float(np.abs(odds).min())
+        found.append(ExchangedPart(int(row), (last + first) / 2, (earliest, latest), is_since, least))
+    return found
+
+
+def _fit_lines(x: Floats, y: Floats) -> Floats:
+    """Slope of y on x in the first values, for each number of them, shape (3, value); sum of squares of x; and left."""
+    n = np.arange(1, x.size + 1)
+    xx, xy, yy = (np.cumsum(a * b) - np.cumsum(a) * np.cumsum(b) / n for a, b in ((x, x), (x, y), (y, y)))
+    slope = xy / np.maximum(xx, TINY)
+    return np.stack([slope, xx, yy - slope * xy])
 
 
 def _odds_of_values(ratio: Floats, is_with: NDArray[np.bool_]) -> Floats:

@@ -32,6 +32,7 @@ EXCHANGE = "exchange"
 _OF_KIND = {
     EXCHANGE: "dipole_swap",
     "arms": "dipole_azimuth",
+    "arm": "dipole_azimuth",
     "clock": "lst_offset",
     "longitude sign": "lst_offset",
     "latitude sign": SITE.identifier,
@@ -142,13 +143,16 @@ def _correct(spectra: Spectra, instrument: Instrument, line: Line) -> tuple[Spec
     if line.kind == EXCHANGE:
         one, other = instrument.dipoles
         is_wrong = np.isin(spectra.antenna, line.antennas) if line.antennas else np.ones(len(spectra), dtype=bool)
+        is_wrong &= line.is_during(spectra.time_unix)
         exchanged = np.where(spectra.dipole == one, other, one)
         return replace(spectra, dipole=np.where(is_wrong, exchanged, spectra.dipole)), instrument
     if line.value is not None and line.unit == "h":
         late_s = line.value * SIDEREAL_DAY_S / 24.0
         return replace(spectra, time_unix=spectra.time_unix + late_s), instrument
-    if line.kind == "arms":
-        arms = {dipole: azimuth + (line.value or 0.0) for dipole, azimuth in instrument.dipole_azimuth_deg.items()}
+    if line.check == "arms":
+        turned = instrument.dipole_azimuth_deg if line.dipole is None else (line.dipole,)
+        arms = instrument.dipole_azimuth_deg
+        arms = {one: azimuth + (line.value or 0.0) * (one in turned) for one, azimuth in arms.items()}
         return replace(spectra, arms_deg={}), replace(instrument, dipole_azimuth_deg=arms)
     here = instrument.at_station(line.station)
     north, east = here.latitude_deg, here.longitude_deg

@@ -50,17 +50,18 @@ class SkyModels:
     patterns: dict[float, list[Complexes]]
     _modes: dict[tuple[Exchange, float, float, str], Complexes] = field(default_factory=dict)
 
-    def seen(self, lst_hours: Floats, latitude_deg: float, turned_deg: float = 0.0) -> Seen:
-        """Power of the sky by the models at a latitude with all arms turned, and the differences between models.
+    def seen(self, lst_hours: Floats, latitude_deg: float, turned_deg: float = 0.0, arm: str | None = None) -> Seen:
+        """Power of the sky by the models at a latitude with one or all arms turned, and the differences between models.
 
         `lst_hours` has the shape (time,).
         """
+        turns = {dipole: turned_deg if arm in (None, dipole) else 0.0 for dipole in self.instrument.dipoles}
 
         def change(exchange: Exchange) -> Floats:
             power = np.stack(
                 [
-                    sky_power_at(self._modes_of(exchange, latitude_deg, turned_deg, dipole), lst_hours).T
-                    for dipole in self.instrument.dipoles
+                    sky_power_at(self._modes_of(exchange, latitude_deg, turn, dipole), lst_hours).T
+                    for dipole, turn in turns.items()
                 ]
             )
             return np.asarray(power / power.mean(axis=-1, keepdims=True) - 1.0)
@@ -172,7 +173,7 @@ class SkyMatch:
             return [*self._say_too_short("clock", "arms"), *conclude(station.name, base, units, station.hours)]
         possibilities = [
             _scan_clock(likelihood, self.models, latitude),
-            _scan_arms(likelihood, self.models, latitude),
+            *(_scan_arms(likelihood, self.models, latitude, arm) for arm in _arms_of(station)),
             *_try_places(likelihood, self.models, latitude, longitude),
             *units,
         ]
@@ -232,10 +233,16 @@ def _scan_clock(likelihood: AnyReceiver, models: SkyModels, latitude: float) -> 
     return _weigh("clock", likelihood, lambda shift: models.seen(lst + shift, latitude), hours, CLOCK_FINE)
 
 
-def _scan_arms(likelihood: AnyReceiver, models: SkyModels, latitude: float) -> Possibility:
+def _arms_of(station: AuditedStation) -> tuple[str | None, ...]:
+    """All arms together, None, and each of several alone."""
+    return (None, *station.dipoles) if len(station.dipoles) > 1 else (None,)
+
+
+def _scan_arms(likelihood: AnyReceiver, models: SkyModels, latitude: float, arm: str | None) -> Possibility:
     lst = likelihood.series.lst_hours
     angles = np.arange(-ARMS_RANGE / 2, ARMS_RANGE / 2, ARMS_STEP)
-    return _weigh("arms", likelihood, lambda angle: models.seen(lst, latitude, angle), angles, ARMS_FINE)
+    turned = _weigh("arms", likelihood, lambda angle: models.seen(lst, latitude, angle, arm), angles, ARMS_FINE)
+    return replace(turned, kind="arms" if arm is None else "arm", dipole=arm)
 
 
 def _try_places(likelihood: AnyReceiver, models: SkyModels, latitude: float, longitude: float) -> list[Possibility]:

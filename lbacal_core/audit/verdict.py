@@ -7,6 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from lbacal_core.grids import Floats
+
 # One line of an audit: what was asked, of whom, the answer and how sure it is.
 
 WRONG, UNDECIDED, RIGHT = "wrong", "undecided", "right"
@@ -28,13 +33,15 @@ class Line:
         Natural logarithm of the odds against the claim on record: of what is wrong, or else of the likeliest mistake.
         None where nothing was compared.
     value, sigma, unit
-        Size, where there is one.
+        Size, where there is one; its error covers that of other possibilities that the data do not tell apart.
     candidates
         Checks of which the data cannot say which one is wrong, where there are several.
     sentence
         The answer in words, and for `undecided` what would decide.
     kind
         The `Possibility` that is better than the record.
+    since_unix, until_unix
+        When it begins or ends, s UTC, where that lies within the data.
     """
 
     check: str
@@ -49,6 +56,13 @@ class Line:
     unit: str = ""
     candidates: tuple[str, ...] = ()
     kind: str = ""
+    since_unix: float | None = None
+    until_unix: float | None = None
+
+    def is_during(self, time_unix: Floats) -> NDArray[np.bool_]:
+        """Whether it concerns instants, same shape, s UTC."""
+        since, until = self.since_unix, self.until_unix
+        return (time_unix >= (-np.inf if since is None else since)) & (time_unix < (np.inf if until is None else until))
 
     def as_dict(self) -> dict[str, Any]:
         """Describe the line as JSON values, all but `kind` under their names here."""
@@ -62,6 +76,8 @@ class Line:
             "value": None if self.value is None else float(f"{self.value:.4g}"),
             "sigma": None if self.sigma is None else float(f"{self.sigma:.2g}"),
             "unit": self.unit,
+            "since_unix": self.since_unix,
+            "until_unix": self.until_unix,
             "candidates": list(self.candidates),
             "sentence": self.sentence,
         }
@@ -100,6 +116,7 @@ _CHECKS = {
     "latitude for longitude": "place",
     "dB": "unit",
     "volt": "unit",
+    "arm": "arms",
 }
 
 
@@ -115,6 +132,8 @@ class Possibility:
         Size of a clock (h) or of turned arms (deg); of a place, the clock that would look like it (h).
     fits
         Whether it describes the data, and not only better than the record does.
+    dipole
+        The arm that is turned alone.
     """
 
     kind: str
@@ -122,17 +141,29 @@ class Possibility:
     value: float | None = None
     sigma: float | None = None
     fits: bool = True
+    dipole: str | None = None
 
     @property
     def check(self) -> str:
         """Which question of the audit it answers."""
         return _CHECKS.get(self.kind, self.kind)
 
+    @property
+    def checks(self) -> tuple[str, ...]:
+        """The questions that it may answer: power of X and Y that is mixed looks like one arm along the other."""
+        is_along = self.kind == "arm" and self.is_right_angle
+        return ("exchange", self.check) if is_along else (self.check,)
+
+    @property
+    def is_right_angle(self) -> bool:
+        """Whether its size is that of arms turned by a right angle."""
+        return RIGHT_ANGLE - abs(self.value or 0.0) < max(NEAR_RIGHT, SAME_SIGMAS * (self.sigma or 0.0))
+
     def is_chance_of(self, other: Possibility) -> bool:
         """Whether its size is just that which another possibility, which has no free size, explains."""
         value, sigma = self.value or 0.0, self.sigma or 0.0
         if self.kind == "arms" and other.kind == "exchange":
-            return RIGHT_ANGLE - abs(value) < max(NEAR_RIGHT, SAME_SIGMAS * sigma)
+            return self.is_right_angle
         if self.kind == "clock" and other.check == "place" and other.value:
             is_near = abs(value - other.value) < max(SAME_H, SAME_SIGMAS * sigma)
             return is_near and other.log_likelihood >= self.log_likelihood
@@ -172,24 +203,27 @@ def conclude(
     clock = next((one for one in possibilities if one.kind == "clock"), None)
     if clock is not None and {one.kind for one in alike} <= SHIFTS:
         return [_tell_shift(station, clock, [one for one in alike if one is not clock], gain)]
-    if len({one.check for one in alike}) > 1:
+    kinds = tuple(dict.fromkeys(check for one in alike for check in one.checks))
+    if len(kinds) > 1:
         words = "; or ".join(describe(one) for one in alike)
         sentence = f"the record is wrong, and these data do not say where: {words}; a sidereal day would"
-        kinds = tuple(dict.fromkeys(one.check for one in alike))
         return [Line(RECORD, WRONG, station, sentence, log_odds=gain, candidates=kinds)]
     best = alike[0]
     sentence = "; or ".join(describe(one) for one in alike)
-    unit = {"clock": "h", "arms": "deg"}.get(best.kind, "")
+    unit = {"clock": "h", "arms": "deg"}.get(best.check, "")
     value = best.value if unit else None
+    turns = [(one.value or 0.0) - (best.value or 0.0) for one in alike]
+    apart = max(abs((turn + RIGHT_ANGLE) % (2 * RIGHT_ANGLE) - RIGHT_ANGLE) for turn in turns)
     return [
         Line(
             best.check,
             WRONG,
             station,
             sentence,
+            dipole=best.dipole,
             log_odds=gain,
             value=value,
-            sigma=best.sigma,
+            sigma=math.hypot(best.sigma or 0.0, apart) if unit else None,
             unit=unit,
             kind=best.kind,
         )
@@ -232,8 +266,10 @@ def describe(one: Possibility) -> str:
     value, sigma = one.value or 0.0, one.sigma or 0.0
     if one.kind == "clock":
         return f"sidereal time is {60 * value:+.0f} +- {60 * sigma:.0f} min from that of clock and longitude on record"
-    if one.kind == "arms":
-        return f"both arms are turned by {value:+.0f} +- {sigma:.0f} deg (north through east) from the record"
+    if one.check == "arms":
+        turned = "both arms are" if one.dipole is None else f"the arm of {one.dipole} alone is"
+        mixed = "power of X and Y is mixed, or " if len(one.checks) > 1 else ""
+        return f"{mixed}{turned} turned by {value:+.0f} +- {sigma:.0f} deg (north through east) from the record"
     return {
         "exchange": "X and Y are exchanged at every antenna, or both arms are turned by 90 deg",
         "latitude sign": "the latitude has the wrong sign",

@@ -106,13 +106,15 @@ def picture_record(report: StationReport, error: RecordError) -> Picture:
     right = {path: k for k, path in enumerate(_paths_of(after.station))}
     concerned = error.line.antennas if error.line.kind == EXCHANGE and error.line.antennas else before.station.antenna
     rows = [
-        (k, right[antenna, truly])
+        (k, right[antenna, truly], right.get((antenna, first), k))
         for k, (antenna, letter) in enumerate(_paths_of(before.station))
         if letter == first and antenna in concerned and (antenna, truly) in right
     ]
-    of_record, of_right = np.array(rows, dtype=np.intp).reshape(-1, 2).T
-    observed = before.baseline.residual[of_record]
-    expected = (1.0 + observed) / np.maximum(1.0 + after.baseline.residual[of_right], SMALLEST) - 1.0
+    of_record, of_right, same = np.array(rows, dtype=np.intp).reshape(-1, 3).T
+    observed, without = before.baseline.residual[of_record], after.baseline.residual
+    is_during = error.line.is_during(before.station.conditions.time_unix)[:, None]
+    without = np.where(is_during, without[of_right], without[same])
+    expected = (1.0 + observed) / np.maximum(1.0 + without, SMALLEST) - 1.0
     lst = before.station.conditions.lst_hours
     points = _bins(lst, observed.mean(axis=(0, 2)))
     label = f"{axis_named('lst').label} as recorded, letter {first}"

@@ -229,7 +229,9 @@ def _antenna_finding(score: AntennaScore, report: StationReport) -> dict[str, An
 def _record_finding(error: RecordError, report: StationReport) -> dict[str, Any]:
     """What is wrong with the record; its gain is that of the record put right, all else of the model being fitted."""
     station, before, after = report.station, report.as_recorded or report.first, report.first
-    is_member = np.isin(station.antenna, error.line.antennas) if error.line.antennas else station.antenna >= 0
+    line = error.line
+    is_member = np.isin(station.antenna, line.antennas) if line.antennas else station.antenna >= 0
+    is_member &= station.dipole == line.dipole if line.dipole else True
     target = Target("antenna" if error.line.antennas else "station", error.label, is_member)
     odds = error.line.log_odds or 0.0
     chi2_after, dof = after.linear.chi_squared()
@@ -240,7 +242,7 @@ def _record_finding(error: RecordError, report: StationReport) -> dict[str, Any]
         size=error.size,
         parameters={},
         chance=((2.0 * odds) ** 0.5, float(np.exp(-odds))),
-        where=_where(report, target, {}),
+        where=_where(report, target, {}, (line.since_unix, line.until_unix)),
         gain=tell_gain(chi2_before, chi2_after, dof),
         change=change_of_c(before, after, target),
         sentence=error.sentence,
@@ -311,8 +313,14 @@ def tell_gain(
     }
 
 
-def _where(report: StationReport, target: Target, parameters: Mapping[str, Any]) -> dict[str, Any]:
+def _where(
+    report: StationReport,
+    target: Target,
+    parameters: Mapping[str, Any],
+    during_unix: tuple[float | None, float | None] = (None, None),
+) -> dict[str, Any]:
     """Where the cause acts; null along an axis to which it is not confined."""
+    since, until = during_unix
     station = report.station
     frequency, times = station.conditions.frequency_mhz, station.conditions.time_unix
     band = [float(frequency[0]), float(frequency[-1])]
@@ -325,7 +333,10 @@ def _where(report: StationReport, target: Target, parameters: Mapping[str, Any])
         "frequency_mhz": band,
         "lst_h": None,
         "utc_h": None if list(hours) == [0, 24] else [float(hour) for hour in hours],
-        "dates": [write_instant(parameters.get("date_unix", float(times.min()))), write_instant(float(times.max()))],
+        "dates": [
+            write_instant(parameters.get("date_unix", since or float(times.min()))),
+            write_instant(until or float(times.max())),
+        ],
         "antennas": sorted({int(a) for a in station.antenna[target.is_member]}),
         "dipoles": sorted({str(d) for d in station.dipole[target.is_member]}),
     }

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.audit.antennas import (
+    _fit_lines,
     compare_paths,
     compare_polarisations,
     find_ill_paths,
@@ -80,6 +81,43 @@ def test_an_exchanged_antenna_is_named_with_odds(station):
     lines = tell_exchanged(changed, compare_polarisations(changed, EVERYBODY))
     assert [(line.verdict, line.antennas) for line in lines] == [("wrong", (2,))]
     assert (lines[0].log_odds or 0.0) > 7
+
+
+@pytest.mark.parametrize("is_since", [True, False])
+@pytest.mark.parametrize("others", [(), (0,)])
+def test_letters_exchanged_from_a_date_on_are_told_with_the_date(station, is_since, others):
+    """An antenna exchanged in the second half of a year had nothing wrong: its changes cancelled each other."""
+    changed = exchange(station, *others)
+    power, split = changed.power.copy(), 14
+    part = slice(split, None) if is_since else slice(None, split)
+    power[3, :, part] = power[3, ::-1, part]
+    changed = replace(changed, power=power)
+    letters = compare_polarisations(changed, EVERYBODY)
+    assert letters.exchanged().tolist() == list(others)
+    line = next(line for line in tell_exchanged(changed, letters) if line.antennas == (3,))
+    assert (line.check, line.verdict, line.kind) == ("exchange", "wrong", "exchange")
+    assert f"exchanged at antenna 3 {'since' if is_since else 'until'} a date between 2014-05-" in line.sentence
+    at, none = (line.since_unix, line.until_unix) if is_since else (line.until_unix, line.since_unix)
+    assert station.time_unix[split - 1] < at < station.time_unix[split]
+    assert none is None
+    assert np.array_equal(line.is_during(station.time_unix), (np.arange(HOURS) >= split) == is_since)
+
+
+def test_lines_through_the_first_values_are_those_of_least_squares():
+    x, y = np.random.default_rng(3).normal(size=(2, 9))
+    found = _fit_lines(x, y)
+    for n in range(3, 10):
+        (slope, level), (left,), *_ = np.polyfit(x[:n], y[:n], 1, full=True)
+        np.testing.assert_allclose(found[:, n - 1], [slope, n * np.var(x[:n]), left])
+        assert level == pytest.approx(y[:n].mean() - slope * x[:n].mean())
+
+
+def test_an_antenna_whose_ratio_steps_or_that_mixes_its_dipoles_from_a_date_on_is_not_exchanged(station):
+    power = station.power.copy()
+    power[2, 0, 12:] *= 0.85
+    power[3, :, 12:] = 0.45 * power[3, :, 12:] + 0.55 * power[3, ::-1, 12:]
+    changed = replace(station, power=power)
+    assert compare_polarisations(changed, EVERYBODY).dated == []
 
 
 def test_a_field_is_told_from_single_antennas(station):

@@ -35,6 +35,13 @@ def test_exchanged_letters_are_exchanged_back(spectra, known, chosen):
     assert "(ln odds +" in error.sentence
 
 
+def test_letters_exchanged_until_a_date_are_exchanged_back_until_then(spectra, known):
+    times = np.unique(spectra.time_unix)
+    right = put_right(exchange(spectra, (spectra.antenna == 1) & (spectra.time_unix < times[11])), Simulation(known))
+    assert [one.label for one in right.errors] == ["antennas 1"]
+    assert list(right.spectra.dipole) == list(spectra.dipole)
+
+
 def test_a_clock_that_is_off_is_set_by_its_size(spectra, known):
     late = replace(spectra, time_unix=spectra.time_unix + 5 * 3600.0)
     right = put_right(late, Simulation(known))
@@ -56,6 +63,12 @@ def test_arms_are_turned_and_a_place_is_moved_back(spectra, known):
     assert (error.cause.identifier, value) == ("dipole_azimuth", pytest.approx(-40.0, abs=4 * sigma))
     arms = right.simulation.instrument.dipole_azimuth_deg
     assert arms == {name: pytest.approx(one, abs=4 * sigma) for name, one in known.dipole_azimuth_deg.items()}
+    arms = known.dipole_azimuth_deg
+    one_arm = replace(known, dipole_azimuth_deg={**arms, "Y": arms["Y"] + 40.0})
+    right = put_right(spectra, Simulation(one_arm))
+    (error,) = right.errors
+    corrected = right.simulation.instrument.dipole_azimuth_deg
+    assert corrected == {"X": arms["X"], "Y": pytest.approx(arms["Y"], abs=4 * error.line.sigma)}
     south = replace(known, latitude_deg=-known.latitude_deg)
     right = put_right(spectra, Simulation(south))
     assert [one.cause.identifier for one in right.errors] == ["site"]

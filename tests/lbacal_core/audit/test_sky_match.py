@@ -57,6 +57,17 @@ def test_turned_arms_are_measured_and_a_right_angle_is_an_exchange(station, low_
     assert tell(station, exchanged)["exchange"][0] == "wrong"
 
 
+@pytest.mark.parametrize("arm", ["X", "Y"])
+def test_one_arm_that_is_turned_alone_is_named_and_measured(station, low_band, arm):
+    """X at 65 deg on record instead of 45 was told as both arms turned by -11 +- 1 deg."""
+    arms = low_band.dipole_azimuth_deg
+    turned = replace(low_band, dipole_azimuth_deg={**arms, arm: arms[arm] + 40.0})
+    (line,) = match_of(station, turned).tell(ALL)
+    assert (line.check, line.verdict, line.dipole) == ("arms", "wrong", arm)
+    assert line.value == pytest.approx(-40.0, abs=3.0 * line.sigma)
+    assert f"the arm of {arm} alone is turned by -40 +- " in line.sentence
+
+
 def test_a_latitude_of_the_other_hemisphere_is_named(station, low_band):
     assert tell(station, replace(low_band, latitude_deg=-low_band.latitude_deg))["place"][0] == "wrong"
 
@@ -241,6 +252,22 @@ def test_possibilities_that_are_as_likely_are_all_named_and_none_is_chosen():
     (line,) = conclude("CS002", 0.0, [Possibility("clock", 40.0, 6.2, 0.3), Possibility("exchange", 38.0)])
     assert (line.check, line.verdict, line.candidates) == ("record", "wrong", ("clock", "exchange"))
     assert "a sidereal day would" in line.sentence
+
+
+def test_arms_that_may_be_turned_together_or_one_alone_have_an_error_that_covers_both():
+    told = [Possibility("arms", 41.0, -7.0, 0.6), Possibility("arm", 39.0, -11.0, 1.0, dipole="X")]
+    (line,) = conclude("CS002", 0.0, told)
+    assert (line.check, line.dipole, line.value, line.candidates) == ("arms", None, -7.0, ())
+    assert line.sigma == pytest.approx(4.0, abs=0.1)
+    assert "both arms are turned by -7 +- 1 deg" in line.sentence
+    assert "or the arm of X alone is turned by -11 +- 1 deg" in line.sentence
+
+
+def test_one_arm_along_the_other_may_be_mixed_power_and_no_arm_is_named():
+    """X and Y that are mixed by halves see the same, as with one arm turned by a right angle."""
+    (line,) = conclude("CS002", 0.0, [Possibility("arm", 41.0, -88.0, 3.0, dipole="Y"), Possibility("arms", 2.0, 3.0)])
+    assert (line.check, line.candidates, line.kind) == ("record", ("exchange", "arms"), "")
+    assert "power of X and Y is mixed, or the arm of Y alone is turned by -88 +- 3 deg" in line.sentence
 
 
 def test_arms_turned_by_about_a_right_angle_are_an_exchange_of_letters():
