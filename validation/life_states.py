@@ -10,9 +10,10 @@ What the oracle allows, and why:
 
 - Two fits may differ by 0.25 sigma: due work that moves C by less is no news (docs/decisions/retention.md). Nor is it
   for the windows that are fitted together with it: each may lack an event that moved its own C by less.
-- What somebody promoted, withdrew or rolled back may give way to the night after new spectra, or after a decision: the
-  newest promotion decides (docs/decisions/in-effect.md). Where neither came it must stay, and once it gave way C is
-  held against the formulas again. Ids are compared where nobody ever promoted anything.
+- What somebody promoted or rolled back may give way to the night after new spectra, or after a decision: the newest
+  promotion decides (docs/decisions/in-effect.md). Where neither came it must stay, and once it gave way C is held
+  against the formulas again. What somebody withdrew, or left withdrawn by a rollback, stays so whatever comes. Ids are
+  compared where nobody ever promoted anything.
 - The order of the fits of a year is no history: its pieces are fitted one after the other, that with the most
   spectra first, and only later ones see earlier ones (docs/decisions/years.md).
 """
@@ -244,7 +245,8 @@ def compare(factory: Factory, months: Sequence[Month], told: Told) -> None:
         last = told.observed.pop(place, None)
         if last is not None:
             require(
-                last.state != state or name == last.calibration, f"{where}: what somebody put there gave way to no news"
+                name == last.calibration or (last.calibration is not None and last.state != state),
+                f"{where}: what somebody put there gave way to no news",
             )
             if name == last.calibration:
                 told.observed[place] = InEffect(name, state)
@@ -432,20 +434,20 @@ class Life(RuleBasedStateMachine):
         told = f"promote {version.scope.key} of {[format_instant(one)[:10] for one in (since, until, version.made)]}"
         self.do(told, lambda: self._promote(plan), is_night=is_night)
 
-    @rule(data=st.data(), is_night=st.booleans())
-    def withdraw(self, data: Any, is_night: bool) -> None:
-        """Withdraw what a scope has in a year."""
+    @rule(data=st.data(), end=st.sampled_from(["12-31", "06-30"]), is_night=st.booleans())
+    def withdraw(self, data: Any, end: str, is_night: bool) -> None:
+        """Withdraw what a scope has in a year or half of it."""
         scope, _ = data.draw(st.sampled_from(SCOPES[:-2]))
-        self.take_away(scope, data.draw(st.sampled_from(YEARS)), is_night=is_night)
+        self.take_away(scope, data.draw(st.sampled_from(YEARS)), end, is_night=is_night)
 
-    def take_away(self, scope: Scope, year: int, *, is_night: bool) -> None:
-        """Withdraw what a scope has in a year."""
+    def take_away(self, scope: Scope, year: int, end: str = "12-31", *, is_night: bool) -> None:
+        """Withdraw what a scope has in a year until the end of a day."""
         body = {
             "calibration": None, "station": scope.station, "antenna": scope.antenna, "dipole": scope.dipole,
-            "valid_from": f"{year}-01-01", "valid_to": f"{year + 1}-01-01", "reason": WHY,
+            "valid_from": f"{year}-01-01", "valid_to": format_instant(at(f"{year}-{end}") + DAY_US), "reason": WHY,
         }  # fmt: skip
         plan = self.factory.promotions.plan(PromotionBody.model_validate(body), BY)
-        self.do(f"withdraw {scope.key} in {year}", lambda: self._promote(plan), is_night=is_night)
+        self.do(f"withdraw {scope.key} in {year} until {end}", lambda: self._promote(plan), is_night=is_night)
 
     @rule(data=st.data(), is_night=st.booleans())
     def roll_back(self, data: Any, is_night: bool) -> None:
@@ -453,8 +455,9 @@ class Life(RuleBasedStateMachine):
         with self.factory.database.read() as stores:
             newest = stores.ledger.newest_number()
         number = data.draw(st.integers(1, newest))
-        plan = self.factory.promotions.plan_rollback(number, ReasonBody(reason=WHY), BY)
-        self.do(f"roll back {number} of {newest}", lambda: self._promote(plan), is_night=is_night)
+        with suppress(ConflictError):  # nothing of it is in effect any more
+            plan = self.factory.promotions.plan_rollback(number, ReasonBody(reason=WHY), BY)
+            self.do(f"roll back {number} of {newest}", lambda: self._promote(plan), is_night=is_night)
 
     def _promote(self, plan: Plan) -> None:
         self.factory.promotions.promote(plan, lambda made, _: made)

@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_limits
 
 from lbacal_core.calibration.chain_form import FORM_OF_CHAIN, ChainForm, compare_forms, list_forms
 from lbacal_core.calibration.chain_test import FittedPaths
-from lbacal_core.calibration.channels import LARGEST_GOOD_ERROR, solve_without_interference
+from lbacal_core.calibration.channels import LARGEST_GOOD_ERROR, LEAST_LIKELY, solve_without_interference
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.calibration.lines import ChainForms, Lines, fit_lines
 from lbacal_core.calibration.paths import MIN_LST_BINS, Paths, paths_of_scope, require_one_cable_each
@@ -39,8 +39,6 @@ from lbacal_core.sky.table import read_at
 from lbacal_core.spectra.blocks import Recorded
 from lbacal_core.spectra.spectra import Spectra
 
-EXCLUDED = 2.0
-"""Data that are less probable with an antenna than with the instrument's own by exp of this exclude it."""
 OTHER_ANTENNA = "another antenna"
 SMALLEST_DOUBT = 0.001
 """Another antenna that moves ln C by less than this is no term."""
@@ -176,14 +174,14 @@ def _doubt_antenna(
 ) -> tuple[list[BudgetTerm], dict[str, NDArray[np.bool_]]]:
     """What C would be with other antennas, each by the root of the probability that it is that one.
 
-    And the channels that one which the data do not exclude moves by more than C of a good channel may be off.
+    And the channels that one moves by more than C of a good channel may be off, all that do so together likely enough.
     """
     tried = {p: refit.try_antennas(prior) for p, refit in refits.items()}
     gain = np.sum([one for one, _ in tried.values()], axis=0)
     log_odds = gain + np.log([one.share for one in prior.antennas]) + logit(read_prior()["other_antenna"].size)
     probability = np.exp(log_odds - np.logaddexp(0.0, logsumexp(log_odds)))
     changes = {p: np.array([_finite(one) for one in found]) for p, (_, found) in tried.items()}
-    unsure = {p: np.any(np.abs(one[gain > -EXCLUDED]) > LARGEST_GOOD_ERROR, axis=0) for p, one in changes.items()}
+    unsure = {p: probability @ (np.abs(one) > LARGEST_GOOD_ERROR) > LEAST_LIKELY for p, one in changes.items()}
     vectors = {p: np.sqrt(probability)[:, None] * one for p, one in changes.items()}
     if max(float(np.max(np.sum(one**2, axis=0))) for one in vectors.values()) < SMALLEST_DOUBT**2:
         return [], unsure
@@ -230,7 +228,7 @@ def add_budget(report: FitReport, budget: Budget) -> FitReport:
 
     A curve whose `chi2_per_dof` is above what noise makes of it, without being a misfit, has one more term of its own:
     its statistical error times (chi^2 per degree of freedom - 1)^1/2, fully correlated along frequency. A channel is
-    `uncertain` where another antenna that the data do not exclude moves C by more than the paper's total error.
+    `uncertain` where another antenna moves C by more than the paper's total error, with more than `LEAST_LIKELY`.
     """
     curves = [_with_errors(curve, budget) if curve.c is not None else curve for curve in report.curves]
     return replace(report, curves=tuple(curves), budgets={budget.digest: budget})

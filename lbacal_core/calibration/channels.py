@@ -21,6 +21,8 @@ LARGEST_ERROR = 0.5
 """A channel whose C is less certain than this has no value."""
 LARGEST_GOOD_ERROR = 0.13
 """The total error of Table 1 of the paper: beyond it a channel's noise alone is larger than all systematic errors."""
+LEAST_LIKELY = 0.01
+"""Other antennas of a smaller probability flag no channel (docs/decisions/chain-test.md)."""
 SMALLEST_BAND = 0.5
 """A curve with values in less than half of its channels determines nothing."""
 FURTHEST_OUTLIER = 6.0

@@ -9,8 +9,8 @@ interval of validity. Instants are whole microseconds since 1970 (UTC), so that 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.antennas import EXPECTED, is_dipole_name
@@ -126,6 +126,19 @@ def timeline(promotions: Iterable[Promotion], path: Scope) -> list[Stretch]:
         else:
             stretches.append(Stretch(start, end, promotion))
     return stretches
+
+
+def list_deciding(
+    promotions: Iterable[Promotion], scope: Scope, since: Instant, until: Instant | None
+) -> Iterator[Promotion]:
+    """The promotions of a scope that decide in [since, until), withdrawals too, each over the part in which it does."""
+    # an empty name for none: withdrawals then answer in the timeline
+    named = [replace(p, calibration=p.calibration or "") for p in promotions if p.scope == scope]
+    for one in timeline(named, scope):
+        ends = [end for end in (one.end, until) if end is not None]
+        start, end = max(one.start or since, since), min(ends, default=None)
+        if one.promotion is not None and (end is None or start < end):
+            yield replace(one.promotion, valid_from=start, valid_to=end, calibration=one.calibration or None)
 
 
 def _narrowest_answer(begun: Iterable[list[tuple[int, int, Promotion]]], instant: Instant) -> Promotion | None:

@@ -92,8 +92,8 @@ def promote_job(request: Request, use: UseCases, order: Reasoned, number: JobNum
 def roll_back(request: Request, use: UseCases, order: Reasoned, number: JobNumber, dry_run: bool = False) -> Response:
     """Undo a promotion.
 
-    Promotes again what its scope had before over its interval, a withdrawal where it had nothing; and the same for all
-    promotions that were one act with it. `dry_run=true` answers 200 and writes nothing.
+    Promotes again what its scope had before, a withdrawal where it had nothing; and the same for all promotions that
+    were one act with it, each where it still decides; 409 where none does. `dry_run=true` answers 200, writes nothing.
     """
     plan = use.promotions.plan_rollback(number, order.wanted, order.caller)
     return _execute(request, use, order, plan, f"rollback of {number}", describe_act, dry_run=dry_run)

@@ -30,7 +30,7 @@ from sqlalchemy.dialects.postgresql import ARRAY
 from lbacal_core.curves.validity import Instant, Promotion, Scope
 from service.errors import UnavailableError
 from service.schema.tables import edge, model_change, promotion, standing, tag
-from service.storage.processes import read_database_clock
+from service.storage.processes import SCHEDULER, read_database_clock
 from service.storage.rows import Store, add_rows, from_row, put_rows, scope_columns, to_row
 
 # Which promotion decides: the newest that covers an instant, as the ledger stands now or as it was.
@@ -120,6 +120,11 @@ class Neighbour:
 
 Neighbours = tuple[Neighbour | None, Neighbour | None]
 """The one before a gap and the one after it."""
+
+
+def is_of_person(withdrawal: Promotion) -> bool:
+    """Whether a person withdrew, over which due work promotes nothing."""
+    return withdrawal.calibration is None and withdrawal.by != SCHEDULER
 
 
 class LedgerStore(Store):

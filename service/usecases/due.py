@@ -30,6 +30,7 @@ from lbacal_core.simulation.simulation import Simulation
 from service.storage.database import Database, Stores
 from service.storage.jobs import Order, Part
 from service.storage.models import ModelChange
+from service.storage.processes import SCHEDULER
 from service.usecases.drift import find_years, year_of
 from service.usecases.drift_measurement import KIND as DRIFT
 from service.usecases.drift_measurement import find_references
@@ -43,7 +44,6 @@ from service.usecases.refits import describe_part
 from service.usecases.watch import KIND as WATCH
 from service.usecases.watch import Watch
 
-BY = "scheduler"
 FORM = "sums"
 """What drift keeps: a year that was measured when other numbers were kept is measured again."""
 ALWAYS = {"since": -np.inf, "until": np.inf}
@@ -150,7 +150,7 @@ class DueWork:
                     stores.models.put(stores.models.during(part["station"], part["since"], part["until"]))
             first = [one for one in due if not _reads_others(stores.jobs.called_for(one), one.called_for)]
             due = first if any(one.kind == REFIT for one in first) else due
-            made = [stores.jobs.add(one, self.clock(), explain_due if one.by == BY else None) for one in due]
+            made = [stores.jobs.add(one, self.clock(), explain_due if one.by == SCHEDULER else None) for one in due]
         return [number for number in made if number is not None]
 
     def _refits(self, stores: Stores, change: ModelChange | None = None) -> Iterator[Order]:
@@ -216,7 +216,7 @@ class DueWork:
         named = {"instrument": of_instrument, "sky_power": own.sky_power, "model_version": own.model_version}
         given = [value for value in called_for.values() if value]
         due_name = hash_content([kind, part, *given, list(named.values())])
-        return Order(kind, part, [part], "", BY, due_name, own.text, called_for | named)
+        return Order(kind, part, [part], "", SCHEDULER, due_name, own.text, called_for | named)
 
     @cached_property
     def _inputs(self) -> Inputs:

@@ -39,6 +39,7 @@ from lbacal_core.spectra.spectra import Spectra
 from service.errors import ConflictError
 from service.storage.changes import Cut
 from service.storage.database import Stores
+from service.storage.ledger import is_of_person
 from service.storage.spectra import Window
 from service.storage.sums import KeptPiece, Served, Sums, name_pieces, read_pieces, write_pieces
 from service.storage.versions import BEHIND, BUDGET, Examined, Version
@@ -554,8 +555,11 @@ def read_block(stores: Stores, kind: str, window: Window, inputs: str, of: Scope
 def is_still_served(stores: Stores, pieces: Sequence[KeptPiece]) -> bool:
     """Whether what is in effect is what was when a fit was kept."""
     for piece in pieces:
-        standing = find_standing(stores, [served.scope for served in piece.served], piece.since, piece.until)
-        if any(standing.get(one.scope) != (one.calibration if one.is_in_effect else None) for one in piece.served):
+        scopes = [one.scope for one in piece.served]
+        names = _name_standing(stores, scopes, piece.since, piece.until)
+        standing = find_standing(stores, scopes, piece.since, piece.until)
+        said = {one.scope: one.calibration if one.is_in_effect else None for one in piece.served}
+        if any(names[scope] and standing.get(scope) != name for scope, name in said.items()):
             return False
     return True
 
@@ -599,12 +603,22 @@ def keep_served(
 
 
 def find_standing(stores: Stores, scopes: Sequence[Scope], since: Instant, until: Instant) -> dict[Scope, str]:
-    """The versions that are in effect at both ends of a window and in its middle, by scope."""
+    """The versions in effect at both ends of a window and in its middle, where no person withdrew, by scope."""
+    names = _name_standing(stores, scopes, since, until)
+    return {scope: name for scope, of in names.items() if len(of) == 1 for name in of if name is not None}
+
+
+def _name_standing(
+    stores: Stores, scopes: Sequence[Scope], since: Instant, until: Instant
+) -> dict[Scope, set[str | None]]:
+    """What decides at both ends of a window and in its middle but for persons' withdrawals, None where nothing does."""
     instants = since, (since + until) // 2, until - 1
     said = stores.ledger.decisive_at([(scope, at) for scope in scopes for at in instants])
     found = {scope: [said.get((scope, at)) for at in instants] for scope in scopes}
-    names = {scope: {None if p is None else p.calibration for p in of} for scope, of in found.items()}
-    return {scope: name for scope, (name, *others) in names.items() if name is not None and not others}
+    return {
+        scope: {None if p is None else p.calibration for p in of if p is None or not is_of_person(p)}
+        for scope, of in found.items()
+    }
 
 
 def read_served(version: Version, changes: Sequence[Instant], *, is_in_effect: bool) -> Served:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from lbacal.instants import SECOND_US
-from lbacal_core.calibration.channels import LARGEST_GOOD_ERROR
+from lbacal_core.calibration.channels import LARGEST_GOOD_ERROR, LEAST_LIKELY
 from lbacal_core.calibration.slow_changes import SlowChange
 from lbacal_core.curves.curves import CONVERGED, MISFIT, OK, UNCERTAIN, CalibrationCurve
 from lbacal_core.curves.reference_chain import ReferenceChain
@@ -329,8 +329,8 @@ class Gate:
             doubted = (curve.flags == UNCERTAIN) & (curve.c_sigma_stat / curve.c <= LARGEST_GOOD_ERROR)
             if np.any(doubted):
                 told += (
-                    f"; in {doubted.sum()} another antenna that these spectra do not exclude moves C by more than "
-                    f"{LARGEST_GOOD_ERROR:.0%}, and lbacal budget says which it may be"
+                    f"; in {doubted.sum()} another antenna, likelier than {LEAST_LIKELY:.0%} by these spectra, moves C "
+                    f"by more than {LARGEST_GOOD_ERROR:.0%}, and lbacal budget says which it may be"
                 )
             return told
         error = float(np.mean(curve.c_sigma_stat[is_good] / curve.c[is_good]))

@@ -22,6 +22,7 @@ from service.errors import ConflictError
 from service.storage.alarms import CAUSE_STOPPED_PAYING, News
 from service.storage.database import Database, Stores
 from service.storage.models import ADOPTED, WITHDRAWN, Announced, Gain, Investigation, ModelChange
+from service.storage.processes import SCHEDULER
 from service.storage.spectra import Window
 from service.storage.versions import Version, mean_over_band
 from service.usecases.calibrations import select_paths
@@ -213,7 +214,9 @@ class Models:
                 replaced = Promotion(0, scope, stretch.start, stretch.end, stretch.calibration, LAST)
                 for one in undo(replaced, earlier, by, reason):
                     version = versions.get(one.calibration or "")
-                    if version is None or version.model == _name_within(current, version):
+                    if version is None:
+                        yield replace(one, by=SCHEDULER)  # no person withdrew C: a fit may answer
+                    elif version.model == _name_within(current, version):
                         yield one
 
     def history(self, station: str | None = None) -> list[AdoptedModel]:

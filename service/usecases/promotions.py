@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from lbacal.instants import format_instant, parse_instant
 from lbacal_core.curves.curves import CONVERGED
-from lbacal_core.curves.validity import Instant, Promotion, Scope, Stretch, timeline
+from lbacal_core.curves.validity import Instant, Promotion, Scope, Stretch, list_deciding, timeline
 from lbacal_core.errors import BadInputError, offer_name
 from lbacal_core.instrument.instrument import Instrument
 from service.errors import ConflictError, NotFoundError
@@ -88,15 +88,24 @@ class Promotions:
             return Plan(wanted, self.changes(stores, wanted), stores.ledger.newest_number(), left_out)
 
     def plan_rollback(self, number: int, body: ReasonBody, by: str) -> Plan:
-        """Work out how to undo a promotion and all that were one act with it; nothing is written."""
+        """Work out how to undo a promotion and all that were one act with it, where they decide; nothing is written."""
         with self.database.read() as stores:
             act = stores.ledger.act_of(number)
             if not act:
                 raise NotFoundError(f"no promotion {number}; GET /v1/calibrations/effective names those that answer")
             since = min(p.valid_from for p in act)
             until = None if any(p.valid_to is None for p in act) else max(p.valid_to or 0 for p in act)
-            before = stores.ledger.standing({p.scope for p in act}, since, until, before=act[0].at)
-            wanted = [one for p in act for one in undo(p, before, by, body.reason)]
+            scopes = {p.scope for p in act}
+            now, before = (stores.ledger.standing(scopes, since, until, before=at) for at in (None, act[0].at))
+            deciding = [one for p in act for one in list_deciding(now, p.scope, p.valid_from, p.valid_to)]
+            own = [one for one in deciding if one.at == act[0].at]
+            if not own:
+                last = max(deciding, key=lambda one: one.number)
+                raise ConflictError(
+                    f"promotion {number} decides nowhere any more: for {last.scope.key} {last.calibration or 'nothing'}"
+                    f" is in effect since {format_instant(last.at)[:10]}, by promotion {last.number}: roll that back"
+                )
+            wanted = [one for p in own for one in undo(p, before, by, body.reason)]
             return Plan(wanted, self.changes(stores, wanted), stores.ledger.newest_number())
 
     def promote(self, plan: Plan, describe: Describe[Answer]) -> Answer:

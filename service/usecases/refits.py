@@ -6,11 +6,11 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from lbacal.instants import DAY_US, SECOND_US
+from lbacal.instants import DAY_US, SECOND_US, format_instant
 from lbacal_core.calibration.windows import leave_out_changed
 from lbacal_core.causes.model import Model
 from lbacal_core.curves.covariance import Budget, parse_budget
-from lbacal_core.curves.validity import Instant, Promotion, Scope, timeline
+from lbacal_core.curves.validity import Instant, Promotion, Scope, list_deciding, timeline
 from lbacal_core.discovery.adopted import measure_gains
 from lbacal_core.discovery.calibrate import FittedCauses
 from lbacal_core.errors import BadInputError
@@ -22,7 +22,9 @@ from service.errors import ConflictError
 from service.storage.changes import IN_FORCE, KeptChange, concerns
 from service.storage.database import Database, Stores
 from service.storage.jobs import Order, Part
+from service.storage.ledger import is_of_person
 from service.storage.models import ADOPTED, Gain
+from service.storage.processes import SCHEDULER
 from service.storage.sums import KeptPiece, Served, Sums, read_pieces
 from service.storage.versions import Examined, Version
 from service.usecases.calibrations import find_slow, group_by_antenna, select_paths
@@ -47,6 +49,7 @@ from service.wire.bodies import RefitBody
 KIND = "refit"
 MOST_RECALLED = 8
 """So many of the last versions of a window are looked through for the one of before a decision that was undone."""
+Span = tuple[Instant, Instant]
 
 
 @dataclass(frozen=True)
@@ -188,7 +191,8 @@ class Refits:
     ) -> None:
         """Store the new versions of one window.
 
-        What somebody put into effect since due work spoke of the window last stays, while it would say the same again.
+        What somebody put into effect since due work spoke of the window last stays, while it would say the same again;
+        what a person withdrew stays withdrawn, and what would answer there all over the window waits for a person.
         Where windows are again what they were, the version of then answers again, if C hardly moved since.
         """
         since, until = made[0].window
@@ -209,6 +213,8 @@ class Refits:
             return self.gate.objection(v, versions.get(before.get(v.scope, "")), change, cuts, slow)
 
         gated = {v.id: superseded or object_to(v) for v in made}
+        rest = _find_rest(stores, scopes, since, until) if part.is_due else {}
+        waiting = {scope: told for scope, (spans, told) in rest.items() if not spans}
         examined = dict[Scope, Examined]()
         stays = set[Scope]()
         for v in made if part.is_due else []:
@@ -225,19 +231,21 @@ class Refits:
                 stays.add(v.scope)
         news = [v for v in made if v.scope not in examined]
         stores.versions.confirm(list(examined.values()))
-        stores.versions.add([replace(v, gate=gated[v.id]) for v in news])
+        stores.versions.add([replace(v, gate=gated[v.id] or waiting.get(v.scope)) for v in news])
         passed = {v.scope: v.id for v in news if gated[v.id] is None}
         answers = {scope: one.calibration for scope, one in examined.items()} | passed
         promoted = [
-            Promotion(0, scope, since, until, name, 0, part.by, part.reason)
+            Promotion(0, scope, *span, name, 0, part.by, part.reason)
             for scope, name in answers.items()
             if scope not in stays and standing.get(scope) != name
+            for span in rest.get(scope, ([(since, until)], ""))[0]
         ]
         kept.promotions += promoted
         again = [of for of, name in passed.items() if part.is_due and name in (standing.get(of), aside.get(of))]
         kept.result["calibrations"] += [v.id for v in news if v.scope not in again]
-        kept.result["promoted"] += [one.calibration for one in promoted]
+        kept.result["promoted"] += list(dict.fromkeys(one.calibration for one in promoted))
         kept.result["gated"] |= {name: objection for name, objection in gated.items() if objection is not None}
+        kept.result["gated"] |= {passed[of]: told for of, told in waiting.items() if of in passed and of not in stays}
         kept.result["examined"] += len(examined) + len(again)
         in_effect = {scope: {passed.get(scope), standing.get(scope)} for scope in scopes}
         served = {v.scope: read_served(v, changes[v.scope], is_in_effect=v.id in in_effect[v.scope]) for v in news}
@@ -377,21 +385,38 @@ def _list_before(stores: Stores, pieces: Sequence[KeptPiece], changes: Sequence[
 def _withdraw_gaps(stores: Stores, made: Sequence[Version], part: Part) -> Iterator[Promotion]:
     """Withdraw what due work put into effect over a change where the pieces of the window give no C.
 
-    It would answer there for ever, and in a service that got the same spectra after the change nothing does.
+    It would answer there for ever, and in a service that got the same spectra after the change nothing does. Whoever
+    adopted a cause that this is the fit of withdrew nothing: later pieces may answer.
     """
     window = part.request["since"], part.request["until"]
     for scope in dict.fromkeys(v.scope for v in made):
         with_c = sorted(
             v.window for v in made if v.scope == scope and (v.window == window or v.curves[0].c is not None)
         )
-        edges = [window[0], *(edge for one in with_c for edge in one), window[1]]
-        for start, end in zip(edges[::2], edges[1::2], strict=True):
-            promotions = stores.ledger.standing([scope], start, end) if start < end else []
-            for one in timeline(promotions, scope):
-                since, until = max(one.start or start, start), min(one.end or end, end)
-                is_own = one.promotion is not None and one.promotion.by == part.by and one.calibration is not None
-                if is_own and since < until:
-                    yield Promotion(0, scope, since, until, None, 0, part.by, part.reason)
+        for start, end in _between(window, with_c):
+            for one in list_deciding(stores.ledger.standing([scope], start, end), scope, start, end):
+                if one.by == part.by and one.calibration is not None:
+                    yield replace(one, calibration=None, by=SCHEDULER, reason=part.reason)
+
+
+def _between(window: Span, spans: Iterable[Span]) -> list[Span]:
+    """The parts of a window that spans in it, in order, leave free."""
+    edges = [window[0], *(edge for span in spans for edge in span), window[1]]
+    return [(start, end) for start, end in zip(edges[::2], edges[1::2], strict=True) if start < end]
+
+
+def _find_rest(
+    stores: Stores, scopes: Sequence[Scope], since: Instant, until: Instant
+) -> dict[Scope, tuple[list[Span], str]]:
+    """The parts of a window that persons' withdrawals leave, by scope, and who withdrew the last of the others."""
+    found = {}
+    standing = stores.ledger.standing(scopes, since, until)
+    for scope in {one.scope for one in standing if is_of_person(one)}:
+        own = [one for one in list_deciding(standing, scope, since, until) if is_of_person(one)]
+        told = [f"withdrawn by {one.by} on {format_instant(one.at)[:10]} ({one.reason})" for one in own[-1:]]
+        spans = _between((since, until), [(one.valid_from, one.valid_to or until) for one in own])
+        found[scope] = spans, f"{''.join(told)}: nothing answers until a person promotes"
+    return found
 
 
 def _explain_other_model(stores: Stores, part: Part) -> str | None:

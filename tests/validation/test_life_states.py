@@ -92,6 +92,14 @@ def test_a_change_that_was_found_in_a_path_stays_when_c_of_the_path_is_withdrawn
         life.take_away(Scope("CS002", 1, dipole), 2015, is_night=True)
 
 
+@pytest.mark.parametrize("end", ["12-31", "06-30"])
+def test_a_month_that_was_news_undid_what_a_person_had_withdrawn(life: Life, end: str) -> None:
+    life.begin({2015}, {3, 5, 11})
+    life.take_away(Scope("CS002", 1, "X"), 2015, end, is_night=False)
+    late(life, (2015, 3), (2015, 5), (2015, 11))
+    life.enter({1}, "2015-06-20", None, is_night=True)
+
+
 def test_entering_a_change_of_two_antennas_put_one_of_two_that_were_dismissed_in_force(life: Life) -> None:
     life.begin({2014}, set())
     for antenna in (0, 2):

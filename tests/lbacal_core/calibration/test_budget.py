@@ -1,12 +1,21 @@
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.special import logit
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from lbacal_core.antenna.ideal import ShortDipole
-from lbacal_core.calibration.budget import OTHER_ANTENNA, add_budget, compute_budget, measure_electronics
+from lbacal_core.calibration.budget import (
+    OTHER_ANTENNA,
+    _doubt_antenna,
+    add_budget,
+    compute_budget,
+    measure_electronics,
+)
 from lbacal_core.calibration.fit import fit_calibration
+from lbacal_core.data.tables import read_prior
 from lbacal_core.simulation.prior import list_changes
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.power import compute_sky_power
@@ -124,6 +133,14 @@ def test_the_budget_covers_what_a_wrong_antenna_does_to_c(study):
         assert np.nanmin(departure) < -0.3
         assert np.nanmax(np.abs(departure / total)) < 2.5
         assert "ok" not in curve.flags[-5:]
+
+
+@pytest.mark.parametrize(("probability", "is_flagged"), [(0.008, False), (0.02, True)])
+def test_another_antenna_of_a_probability_below_one_percent_made_a_good_year_wait(probability, is_flagged):
+    gain = np.array([logit(probability) - logit(read_prior()["other_antenna"].size)])
+    refit = SimpleNamespace(try_antennas=lambda _: (gain, np.array([[0.12, 0.5]])))
+    _, unsure = _doubt_antenna({"X": refit}, SimpleNamespace(antennas=[SimpleNamespace(name="one", share=1.0)]))
+    assert unsure["X"].tolist() == [False, is_flagged]
 
 
 @pytest.mark.parametrize("height_m", [1.27, 1.36])

@@ -135,6 +135,20 @@ def test_rollback_puts_everything_back_that_was_one_act(client: TestClient, stor
     assert client.post("/v1/promotions/999/rollback", json={"reason": "x"}).status_code == 404
 
 
+def test_rolling_back_what_was_superseded_took_away_what_was_in_effect(client: TestClient, stored: Stored) -> None:
+    first = promote(client, stored["path"], *OF_2014)["promotion"]
+    promote(client, stored["other"], "2014-01-01", "2014-05-01")
+    path = f"/v1/promotions/{first}/rollback"
+    (undone,) = client.post(path, json={"reason": "wrong"}).json()["promotions"]
+    assert [effective(client, at) for at in ("2014-04-30", "2014-05-01")] == [stored["other"].id, 404]
+    refused = client.post(path, json={"reason": "wrong"})
+    assert refused.status_code == 409
+    assert refused.json()["detail"] == (
+        f"promotion {first} decides nowhere any more: for CS001/0/X nothing is in effect since 2020-01-01, by "
+        f"promotion {undone['promotion']}: roll that back"
+    )
+
+
 def test_an_act_whose_answer_was_lost_is_not_done_twice(client: TestClient, job: int) -> None:
     ask = {"url": f"/v1/jobs/{job}/promotion", "json": {"reason": "x"}, "headers": {"Idempotency-Key": "mine"}}
     first, second = client.post(**ask), client.post(**ask)

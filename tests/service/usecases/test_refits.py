@@ -234,6 +234,38 @@ def test_due_work_counts_a_fit_that_gave_the_version_in_effect_as_examined(facto
     assert [one.is_in_effect for one in kept.served.values()] == [True, True]
 
 
+@pytest.mark.parametrize("share", [1.0, 0.5])
+def test_due_work_that_was_news_answered_where_a_person_had_withdrawn(factory: Factory, share: float) -> None:
+    """Over the rest of its window it answers; over all of it, or after it, no fit does until a person promotes."""
+    scope = Scope("CS001", 0, "X")
+    fits = [(f"fit {c}", new_version(scope, f"fit {c}", c)) for c in (1.0, 1.01, 1.02)]
+    old, new, newest = (replace(one, inputs={"spectra": name}) for name, one in fits)
+    since, until = old.window
+    part = Part(1, 1, "refit", {"promote": True, "station": "CS001", "since": since, "until": until}, "", "night", True)
+    end = since + int(share * (until - since))
+
+    def promote(version: Version | None, by: str) -> None:
+        name, to = (None, end) if version is None else (version.id, until)
+        with factory.database.write() as stores:
+            stores.versions.add([version] if version else [])
+            stores.ledger.append([Promotion(0, scope, since, to, name, 0, by, "wrong cables")], factory.clock)
+
+    def keep(version: Version) -> list[tuple[int, int | None]]:
+        with factory.database.write() as stores:
+            kept = factory.refits._keep(stores, [version], part, {}, ALONE)
+            stores.ledger.append(kept.promotions, factory.clock)
+        told = {version.id: "withdrawn by key 1 on 2020-01-01 (wrong cables): nothing answers until a person promotes"}
+        assert kept.result["gated"] == ({} if kept.promotions else told)
+        assert get_version(factory, version.id).gate == kept.result["gated"].get(version.id)
+        return [(one.valid_from, one.valid_to) for one in kept.promotions]
+
+    promote(old, "scheduler")
+    promote(None, "key 1")
+    assert keep(new) == ([(end, until)] if share < 1.0 else [])
+    promote(new, "key 1")
+    assert keep(newest) == [(since, until)]
+
+
 def test_changes_are_in_force_as_before_where_a_decision_is_undone_and_for_the_paths_it_concerns() -> None:
     """Another antenna's version of before a decision came back, and what the decision itself had brought."""
     change = Change("CS001", ((1, "X"),), STEP, 0, 0)
@@ -427,15 +459,22 @@ def test_a_flag_an_anomalous_event_and_a_promotion_are_left_to_a_fit_from_spectr
     }, "one antenna is fitted from its own spectra, and its means from all"  # fmt: skip
     assert results["antenna"]["examined"] == 8, "its spectrum is left out, and moves nothing"
 
-    body = PromotionBody(
-        calibration=None, station="CS002", antenna=0, dipole="X", valid_from="2014-01-01", valid_to="2015-01-01",
-        reason="test",
-    )  # fmt: skip
-    year.promotions.promote(year.promotions.plan(body, "test"), lambda made, _: made)
-    store(year, campaign, slice(-4, -3))
-    before = kept(year)
-    refit_by_night(year)
-    assert [scope for scope in SCOPES if kept(year)[scope] != before[scope]] == ["antenna"]
+    path = Scope("CS002", 0, "X")
+    with year.database.write() as stores:
+        (in_effect,) = stores.ledger.decisive([path], instant("2014-06-01"), None).values()
+        (version,) = stores.versions.get_many([str(in_effect.calibration)]).values()
+        other = replace(version, inputs={**version.inputs, "other": True})
+        stores.versions.add([other])
+    for name, read, which in ((None, [], -4), (other.id, ["antenna"], -3)):
+        body = PromotionBody(
+            calibration=name, station="CS002", antenna=0, dipole="X", valid_from="2014-01-01", valid_to="2015-01-01",
+            reason="test",
+        )  # fmt: skip
+        year.promotions.promote(year.promotions.plan(body, "test"), lambda made, _: made)
+        store(year, campaign, slice(which, which + 1))
+        before = kept(year)
+        refit_by_night(year)
+        assert [scope for scope in SCOPES if kept(year)[scope] != before[scope]] == read, "due work said the same"
 
 
 @pytest.mark.long
