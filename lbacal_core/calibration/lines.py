@@ -333,7 +333,7 @@ def _find_wider(
     course = (sky_power / sky_power.mean(axis=0)).mean(axis=1)
     wider, at = np.zeros(size.shape), np.nonzero(size > 0)
     wider[at] = find_variance_along(amount.transpose(0, 2, 1)[at], course, time_unix)
-    return wider * (1.0 + size) / np.where(size > 0, size, 1.0)
+    return np.asarray(wider * (1.0 + size) / np.where(size > 0, size, 1.0))
 
 
 def continue_lines(lines: Lines, power: Floats, sky_power: Floats, relative_variance: Floats) -> Lines:
