@@ -85,7 +85,7 @@ def test_a_window_is_read_without_a_second_copy_of_it(factory: Factory) -> None:
 
 
 def spectra_of(events: int, name: str = "e") -> Spectra:
-    return flat_spectra(*[(f"{name}{k:05d}", 1.4e9, "CS001", 0, "X") for k in range(events)])
+    return flat_spectra(*[(f"{name}{k:05d}", 1.4e9 + k / 1000, "CS001", 0, "X") for k in range(events)])
 
 
 def add(factory: Factory, spectra: Spectra) -> int:
