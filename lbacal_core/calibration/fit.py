@@ -48,17 +48,9 @@ from lbacal_core.calibration.paths import (
     unchanged_cables,
 )
 from lbacal_core.calibration.separable import SeparableSolution
-from lbacal_core.calibration.singles import MIN_EVENTS, chain_forms
+from lbacal_core.calibration.singles import FEWEST_EVENTS, MIN_EVENTS, chain_forms
 from lbacal_core.calibration.spreads import measure_spreads
-from lbacal_core.calibration.years import (
-    FEWEST_EVENTS,
-    Beside,
-    Together,
-    lend,
-    pick_beside,
-    solve_together,
-    weigh_by_members,
-)
+from lbacal_core.calibration.years import Beside, Together, lend, pick_beside, solve_together, weigh_by_members
 from lbacal_core.curves.covariance import CurveCovariance, compress_covariance
 from lbacal_core.curves.curves import (
     CONVERGED,

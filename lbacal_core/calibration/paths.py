@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from lbacal_core.calibration.singles import MIN_EVENTS, SingleFits, fit_singles, relative_variance_of
+from lbacal_core.calibration.singles import FEWEST_EVENTS, MIN_EVENTS, SingleFits, fit_singles, relative_variance_of
 from lbacal_core.calibration.spreads import SinglePaths, join_paths
 from lbacal_core.curves.curves import Anomaly
 from lbacal_core.curves.kept_lines import MemberLines, Owner, join_away, join_members
@@ -194,7 +194,7 @@ class _Reader:
             sums = (own for blocks in of_stations for own in pool.map(self.sum_block, blocks))
             return _add_up({own.dipole: own} for own in sums)
 
-    def sum_block(self, block: SpectraBlock, station: str | None = None) -> _Sums:
+    def sum_block(self, block: SpectraBlock, station: str | None = None, *, is_small: bool = False) -> _Sums:
         """Add up the paths of a block for the mean of a station, or of the array.
 
         In each event the deviations from each antenna's own lines, over the antennas present, are put on the mean of
@@ -205,14 +205,18 @@ class _Reader:
         instrument does, wherever its stations stand: each deviates from its lines against the sky that it sees itself.
 
         A path with too many anomalous spectra takes part in no event; where other windows have its lines it is a member
-        all the same. Where most have too many, they are what the station records, and are averaged.
+        all the same. Where most have too many, they are what the station records, and are averaged. A small window has
+        those with half of the most events, in the events of one that has the most: too few for a fit by itself.
         """
         fitted = fit_singles(block, self.simulation, self.typical_blocks)
         screened = leave_out(block, fitted.is_left_out)
-        is_member = screened.is_present.sum(axis=1) >= MIN_EVENTS
+        events = screened.is_present.sum(axis=1)
+        is_member = events >= (max(FEWEST_EVENTS, events.max() / 2) if is_small else MIN_EVENTS)
         if np.mean(fitted.is_steady) > SHARE_OF_STEADY_PATHS:
             is_member &= fitted.is_steady
         power, variance = screened.power[is_member], relative_variance_of(screened, self.typical_blocks)[is_member]
+        if is_small:
+            variance[:, ~screened.is_present[np.argmax(np.where(is_member, events, 0))]] = np.inf
         sky = self.simulation.sky_at(block.station, block.dipole, block.time_unix)
         lines, antennas = fitted.lines.select(np.flatnonzero(is_member)), block.antennas[is_member]
         level = (lines.slope * sky.mean(axis=0) + lines.intercept).mean(axis=1)
@@ -222,13 +226,16 @@ class _Reader:
         mean = MeanOfEvents.of(block, lst_hours, sky, members, power, variance)
         if not antennas.size:
             return _Sums(block.dipole, mean, fitted.anomalies)
-        singles = _single_paths(members.names, fitted, is_member, self.simulation.instrument, self.cable_of)
+        solved = members.names, fitted, is_member, self.simulation.instrument, self.cable_of
+        singles = [] if is_small else [_single_paths(*solved)]
         scatter = np.median(lines.levels.radiometer, axis=1)
-        return _Sums(block.dipole, mean, fitted.anomalies, [members], [singles], [scatter])
+        return _Sums(block.dipole, mean, fitted.anomalies, [members], singles, [scatter])
 
     def average_block(self, block: SpectraBlock, elsewhere: Sequence[MemberLines]) -> Paths:
         """The mean over the antennas of a station as a path of its own."""
-        return self.average(self.sum_block(block, block.station), (block.station, None, block.dipole), elsewhere)
+        sums = self.sum_block(block, block.station)
+        sums = sums if sums.members else self.sum_block(block, block.station, is_small=True)
+        return self.average(sums, (block.station, None, block.dipole), elsewhere)
 
     def average(self, sums: _Sums, owner: Owner, elsewhere: Sequence[MemberLines]) -> Paths:
         """The mean over antennas as a path of its own, the reference chain."""

@@ -24,6 +24,8 @@ from lbacal_core.spectra.spectra import Spectra
 
 MIN_EVENTS = 60
 """Fewer events leave C worse than 2 % and the noise levels worse than 10 %."""
+FEWEST_EVENTS = 5
+"""Fewer know the gain of a window no better than 2.5 %."""
 
 
 def has_enough(spectra: Spectra) -> bool:

@@ -40,8 +40,6 @@ GAIN_SIGMAS, OTHER_SIGMAS = (0.3, 0.03, 0.03), (1.0, 0.5, 0.1)
 hardware is another, which may have a cable that nobody entered (80 m in place of 50 m: -0.76, -0.18, 0.01)."""
 FARTHEST = 5.0
 """Standard deviations beyond which a gain is no gain: a path that is dead in one of two windows (1e-4 of the power)."""
-FEWEST_EVENTS = 5
-"""Fewer know the gain of a window no better than 2.5 %."""
 
 
 @dataclass(frozen=True)

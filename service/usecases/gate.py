@@ -19,6 +19,7 @@ import numpy as np
 
 from lbacal.instants import SECOND_US
 from lbacal_core.calibration.channels import LARGEST_GOOD_ERROR, LEAST_LIKELY
+from lbacal_core.calibration.singles import MIN_EVENTS
 from lbacal_core.calibration.slow_changes import SlowChange
 from lbacal_core.curves.curves import CONVERGED, MISFIT, OK, UNCERTAIN, CalibrationCurve
 from lbacal_core.curves.reference_chain import ReferenceChain
@@ -311,8 +312,9 @@ class Gate:
                 "known; clock, place, letters, antenna or unit may be wrong, and lbacal investigate says what is"
             )
         if curve.status != CONVERGED or curve.c is None or curve.c_sigma_stat is None:
-            seen = f"{24 * curve.lst_coverage:.1f} h of the sidereal day"
-            return f"{curve.status} with {curve.events} events that see {seen}"
+            seen = f"that see {24 * curve.lst_coverage:.1f} h of the sidereal day"
+            of_none = f"of antennas with the {MIN_EVENTS} that a fit needs"
+            return f"{curve.status} with {curve.events} events {seen if curve.events else of_none}"
         is_lent = curve.repeated is not None and curve.repeated.windows > 1  # other windows saw the rest of the day
         if curve.lst_coverage < self.coverage and not is_lent:
             return (

@@ -347,3 +347,25 @@ def test_a_mean_without_a_common_member_lends_nothing():
         np.ones((1, 2, 2)), *[np.ones((1, 1))] * 5, np.array(["name"]), 100.0, members=others,
     )  # fmt: skip
     assert weigh_by_members([Beside(lines, np.ones(1, dtype=bool))], some, 9) == ([], 1.0)
+
+
+@pytest.mark.parametrize(("events", "status"), [(30, "converged"), (4, "too_few_events")])
+def test_the_mean_of_antennas_with_few_events_each_had_none_and_borrowed_nothing(scene, alone, events, status):
+    """It said 0 events that see 0.0 h, while its antennas had C of what other windows lend."""
+    few = draw_year(scene, 1, events=events, days=20.0)
+    lonely = fit_calibration(few, scene.simulation, "station")
+    assert {(one.status, one.events) for one in lonely.curves} == {("too_few_events", events if events > 4 else 0)}
+    found = fit_calibration(few, scene.simulation, "station", beside(alone["station"], 1))
+    for then, now in zip(alone["station"][0].curves, found.curves, strict=True):
+        assert now.status == status
+        if now.c is not None:
+            assert np.mean(np.log(now.c / then.c)) == pytest.approx(-0.5 * GAINS[1], abs=0.015)
+
+
+def test_a_mean_of_antennas_that_take_turns_is_not_taken_for_one_of_all_their_events(scene, alone):
+    """The lines of each are of its few events, whose errors are not those of all."""
+    year = draw_year(scene, 1, events=100)
+    few = year.select(np.isin(year.event_id, np.unique(year.event_id)[::2]) == (year.antenna == 0))
+    found = fit_calibration(few, scene.simulation, "station", beside(alone["station"], 0))
+    assert {(one.status, one.events) for one in found.curves} == {("converged", 50)}
+    assert all(one.repeated.windows > 1 for one in found.curves)

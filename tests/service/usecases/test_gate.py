@@ -131,6 +131,12 @@ def test_one_bad_channel_does_not_keep_a_curve_back_and_sixteen_do():
     assert "in 16 another antenna, likelier than 1% by these spectra, moves C by more than 13%" in doubted
 
 
+def test_a_mean_without_members_says_why_it_has_no_events():
+    none = replace(curve(), c=None, c_sigma_stat=None, flag=None, status="too_few_events", events=0, lst_coverage=0.0)
+    told = GATE.objection(version(none, curve(dipole="Y"), made=200), None)
+    assert told.endswith("too_few_events with 0 events of antennas with the 60 that a fit needs")
+
+
 def test_events_that_see_little_of_the_sidereal_day_wait():
     new = version(replace(curve(), lst_coverage=0.3), curve(dipole="Y"), made=200)
     assert "900 events see 7.2 h of the sidereal day, at least 9.6 h pass" in GATE.objection(new, None)
