@@ -38,6 +38,8 @@ _OF_KIND = {
     "latitude sign": SITE.identifier,
     "latitude for longitude": SITE.identifier,
 }
+OF_RECORD = frozenset(_OF_KIND.values())
+"""Causes that an error of the record is."""
 _BY_NAME: dict[str, Description] = {one.identifier: one for one in (*CAUSES, SITE)}
 EXCHANGED = 1.0
 """Size of what is only right or wrong: letters (1 of `dipole_swap` is an exchange) and places."""
