@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lbacal_core.audit.audit import audit
-from lbacal_core.audit.verdict import WRONG, Line
+from lbacal_core.audit.sky_match import is_summer_time
+from lbacal_core.audit.verdict import SUMMER_TIME, WRONG, Line
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import Description
 from lbacal_core.instrument.instrument import Instrument
@@ -34,10 +35,13 @@ _OF_KIND = {
     "arms": "dipole_azimuth",
     "arm": "dipole_azimuth",
     "clock": "lst_offset",
+    SUMMER_TIME: "lst_offset",
     "longitude sign": "lst_offset",
     "latitude sign": SITE.identifier,
     "latitude for longitude": SITE.identifier,
 }
+OF_RECORD = frozenset(_OF_KIND.values())
+"""Causes that an error of the record is."""
 _BY_NAME: dict[str, Description] = {one.identifier: one for one in (*CAUSES, SITE)}
 EXCHANGED = 1.0
 """Size of what is only right or wrong: letters (1 of `dipole_swap` is an exchange) and places."""
@@ -147,7 +151,8 @@ def _correct(spectra: Spectra, instrument: Instrument, line: Line) -> tuple[Spec
         exchanged = np.where(spectra.dipole == one, other, one)
         return replace(spectra, dipole=np.where(is_wrong, exchanged, spectra.dipole)), instrument
     if line.value is not None and line.unit == "h":
-        late_s = line.value * SIDEREAL_DAY_S / 24.0
+        ahead = is_summer_time(spectra.time_unix) if line.kind == SUMMER_TIME else 0.0
+        late_s = (line.value - ahead) * SIDEREAL_DAY_S / 24.0
         return replace(spectra, time_unix=spectra.time_unix + late_s), instrument
     if line.check == "arms":
         turned = instrument.dipole_azimuth_deg if line.dipole is None else (line.dipole,)

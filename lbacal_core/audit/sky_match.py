@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime, timedelta
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.audit.antennas import fits_cables, log_likelihood_of_unit
 from lbacal_core.audit.station import SHARE, SHARE_SPREAD, SKY_HOURS, AnyReceiver, AuditedStation, Seen, make_series
-from lbacal_core.audit.verdict import LEAST_GAIN, UNDECIDED, Line, Possibility, conclude
+from lbacal_core.audit.verdict import LEAST_GAIN, UNDECIDED, Line, Possibility, conclude, tell_summer
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.sky.antenna_of import antenna_of
@@ -119,6 +120,8 @@ SHORTEST_HOURS = 0.5
 CLOCK_RANGE, CLOCK_STEP, CLOCK_FINE = 24.0, 0.5, 0.05
 ARMS_RANGE, ARMS_STEP, ARMS_FINE = 180.0, 10.0, 1.0
 PAIR = 2
+WHOLE_HOURS = 12.0
+"""Sidereal time that each of summer and winter time must cover for a clock of its own."""
 NORTH_POLE_DEG = 90.0
 
 
@@ -179,7 +182,18 @@ class SkyMatch:
         ]
         if len(station.dipoles) == PAIR:
             possibilities.append(_possible("exchange", likelihood, _exchanged(seen)))
-        return conclude(station.name, base, possibilities, station.hours, likelihood.fits(seen))
+        lines = conclude(station.name, base, possibilities, station.hours, likelihood.fits(seen))
+        return [self._ask_summer(line, rows) if "clock" in (line.kind, *line.candidates) else line for line in lines]
+
+    def _ask_summer(self, clock: Line, rows: NDArray[np.int64]) -> Line:
+        """A clock that is wrong; with those of summer and winter time where an hour lies between them."""
+        is_summer = is_summer_time(self.station.time_unix)
+        halves = [self.station.at(is_summer), self.station.at(~is_summer)]
+        if len(set(is_summer.tolist())) == 1 or any(half.hours < WHOLE_HOURS for half in halves):
+            return clock
+        likelihoods = [AnyReceiver(make_series(half, rows), rows.size) for half in halves]
+        found = [_scan_clock(one, self.models, self.instrument.latitude_deg) for one in likelihoods]
+        return tell_summer(clock, *found)
 
 
 def tell_unit(station: AuditedStation, rows: NDArray[np.int64], instrument: Instrument) -> list[Line]:
@@ -189,6 +203,17 @@ def tell_unit(station: AuditedStation, rows: NDArray[np.int64], instrument: Inst
     """
     units = _try_units(station, rows, instrument, 0.0) if rows.size else []
     return conclude(station.name, 0.0, units) if any(one.log_likelihood > LEAST_GAIN for one in units) else []
+
+
+def is_summer_time(time_unix: Floats) -> NDArray[np.bool_]:
+    """Whether Europe has summer time, same shape: from the last Sunday of March to that of October, 01:00 UTC."""
+    years = 1970 + np.asarray(time_unix // 1.0, dtype="datetime64[s]").astype("datetime64[Y]").astype(int)
+    is_summer = np.zeros(time_unix.shape, dtype=bool)
+    for year in np.unique(years).tolist():
+        lasts = (datetime(year, month, 31, 1, tzinfo=UTC) for month in (3, 10))
+        since, until = ((last - timedelta(days=last.isoweekday() % 7)).timestamp() for last in lasts)
+        is_summer |= (time_unix >= since) & (time_unix < until)
+    return is_summer
 
 
 def _exchanged(seen: Seen) -> Seen:

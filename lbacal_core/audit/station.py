@@ -68,6 +68,11 @@ class AuditedStation:
         covered = f"{60 * self.hours:.0f} min" if self.hours < LONG_HOURS else f"{self.hours:.1f} h"
         return f"{covered} of sidereal time do"
 
+    def at(self, instants: NDArray[np.bool_]) -> AuditedStation:
+        """The station at some of its instants."""
+        times, hours = self.time_unix[instants], self.lst_hours[instants]
+        return replace(self, power=self.power[:, :, instants], time_unix=times, lst_hours=hours)
+
     def with_cables(self, cables: Mapping[int, str], instrument: Instrument) -> AuditedStation:
         """The station with other cables of the instrument, by the row of an antenna, which is not its number."""
         names, loss = self.cables.astype(object), self.loss.copy()

@@ -100,6 +100,7 @@ ZONE_SIGMA_H = 0.1
 RECORD = "record"
 SHIFTS = {"clock", "longitude sign"}
 """What does nothing but shift sidereal time."""
+SUMMER_TIME = "summer time"
 HOURS, HOUR_DEG = 24, 15.0
 """Time zones, of which a wrong one is one; and the turn of the sky in an hour."""
 WHAT_DECIDES = (
@@ -248,6 +249,20 @@ def _tell_shift(station: str, clock: Possibility, signs: Sequence[Possibility], 
     return Line(
         check, WRONG, station, sentence, log_odds=gain, value=value, sigma=clock.sigma, unit="h", kind=clock.kind
     )
+
+
+def tell_summer(line: Line, summer: Possibility, winter: Possibility) -> Line:
+    """The line of a clock, or one with the winter's value, of local time, where summer is an hour later."""
+    values = [(one.value or 0.0, one.sigma or float("inf")) for one in (summer, winter)]
+    half_day, sigma = HOURS / 2, math.hypot(values[0][1], values[1][1])
+    apart = (values[0][0] - values[1][0] + half_day) % HOURS - half_day
+    if abs(apart + 1.0) > SAME_SIGMAS * sigma or abs(apart) < CONFIRMS_SIGMAS * sigma:
+        return line
+    each = (f"{60 * value:+.0f} +- {60 * error:.0f} min" for value, error in values)
+    sentence = f"sidereal time is {next(each)} in Europe's summer time and {next(each)} else from that of clock and "
+    sentence += "longitude on record: local time with summer time?"
+    value, sigma = values[1]
+    return Line("clock", WRONG, line.station, sentence, (), None, line.log_odds, value, sigma, "h", (), SUMMER_TIME)
 
 
 def _far(hours: float, sigma: float) -> float:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from lbacal_core.audit.record import RecordError, put_right
+from lbacal_core.audit.record import OF_RECORD, RecordError, put_right
 from lbacal_core.calibration.chain_form import FORM_OF_CHAIN, compare_forms
 from lbacal_core.causes.axes import describe_term
 from lbacal_core.causes.cause import Description as CauseTexts
@@ -520,9 +520,9 @@ class Search:
         # The products are small: threads of the linear algebra would wait for each other.
         with threadpool_limits(1):
             report = search(station, modes=None if known is None else model_modes(station, known))
-            if report.structure is not None and simulation.is_own_sky:
+            if simulation.is_own_sky and (report.structure is not None or not report.findings or _names_record(report)):
                 progress(f"{station.name}: asking whether its record is wrong")
-                report = _search_put_right(own, simulation, search) or report
+                report = _search_put_right(own, report, simulation, search) or report
             if report.structure is not None:
                 progress(f"{station.name}: describing structure that no cause explains")
             return put_into_words(report, self.seed)
@@ -592,22 +592,27 @@ def investigate(
     return search.join([describe_station(one) for one in reports]), reports
 
 
+def _names_record(report: StationReport) -> bool:
+    """Whether a finding may be an error of the record, which is linear in no size."""
+    return any(one.hypothesis.cause.identifier in OF_RECORD for one in report.findings)
+
+
 def _search_put_right(
-    spectra: Spectra, simulation: Simulation, search: Callable[..., StationReport]
+    spectra: Spectra, recorded: StationReport, simulation: Simulation, search: Callable[..., StationReport]
 ) -> StationReport | None:
     """The report of one station with its record put right; None where the record is not wrong, or that does not help.
 
     The record is wrong where the audit says so and nothing is then left: structure that stays is of something else.
     """
     right = put_right(spectra, simulation)
-    if right is None:
+    if right is None or (recorded.structure is None and not right.errors):
         return None
     known, stations = right.simulation.differences, gather_stations(right.spectra, right.simulation)
     if not stations:  # no path that works has events enough
         return None
     (station,) = stations
     report = search(station, modes=None if known is None else model_modes(station, known))
-    if report.structure is not None:
+    if report.structure is not None or (recorded.structure is None and _names_record(report)):
         return None
     searched = set(zip(report.station.antenna.tolist(), report.station.dipole.tolist(), strict=True))
     paths = zip(right.spectra.antenna.tolist(), right.spectra.dipole.tolist(), strict=True)

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.audit.station import AuditedStation, split_stations
+from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.sky.power import compute_sky_power
@@ -14,9 +15,13 @@ SIDEREAL_HOUR_S = 3590.17
 
 @pytest.fixture
 def spectra(low_band: Instrument) -> Spectra:
-    """A sidereal day of six antennas by the formula of the chain, without noise, but for gains of a per cent."""
+    """A sidereal day of six antennas."""
+    return make_spectra(low_band, START + SIDEREAL_HOUR_S * np.arange(HOURS))
+
+
+def make_spectra(low_band: Instrument, time: Floats) -> Spectra:
+    """Six antennas by the formula of the chain, without noise, but for gains of a per cent."""
     sky_power = compute_sky_power(low_band, antenna="hamaker")
-    time = START + SIDEREAL_HOUR_S * np.arange(HOURS)
     lst = local_sidereal_time(time, low_band.longitude_deg)
     rng = np.random.default_rng(4)
     gain = low_band.antenna_gain * low_band.receiver_gain
@@ -30,12 +35,12 @@ def spectra(low_band: Instrument) -> Spectra:
     return Spectra(
         frequency_mhz=low_band.frequency_mhz,
         power=np.concatenate(rows),
-        event_id=np.tile([f"e{k}" for k in range(HOURS)], len(paths)),
+        event_id=np.tile([f"e{k}" for k in range(time.size)], len(paths)),
         time_unix=np.tile(time, len(paths)),
-        station=np.full(HOURS * len(paths), station),
-        antenna=np.repeat([antenna for antenna, _ in paths], HOURS),
-        dipole=np.repeat([dipole for _, dipole in paths], HOURS),
-        blocks=np.full(HOURS * len(paths), 100),
+        station=np.full(time.size * len(paths), station),
+        antenna=np.repeat([antenna for antenna, _ in paths], time.size),
+        dipole=np.repeat([dipole for _, dipole in paths], time.size),
+        blocks=np.full(time.size * len(paths), 100),
     )
 
 

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from lbacal_core.audit.record import NOT_NAMED, name_mistake, put_right
+from lbacal_core.audit.sky_match import is_summer_time
 from lbacal_core.simulation.simulation import Simulation
+from tests.lbacal_core.audit.conftest import make_spectra
 from tests.lbacal_core.audit.test_audit import exchange, kill
 
 
@@ -51,6 +53,26 @@ def test_a_clock_that_is_off_is_set_by_its_size(spectra, known):
     assert name_mistake(late, Simulation(known)) == error.sentence
     left_h = (right.spectra.time_unix - spectra.time_unix) / 3600.0
     assert np.abs(left_h).max() < 4 * sigma
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("zone_h", [0.0, 1.0])
+def test_local_time_with_summer_time_is_no_clock_of_one_value(known, zone_h):
+    """A year of it was told as a clock that is 87 +- 3 min ahead."""
+    year = np.linspace(1.3886e9, 1.42e9, 300)
+    spectra = make_spectra(known, year)
+    gain = np.random.default_rng(2).normal(1.0, 0.05, (len(spectra), 1))
+    spectra = replace(spectra, power=gain * spectra.power)
+    late = replace(spectra, time_unix=spectra.time_unix + 3600.0 * (zone_h + is_summer_time(spectra.time_unix)))
+    right = put_right(late, Simulation(known))
+    (error,) = right.errors
+    value, sigma = error.size
+    assert (error.cause.identifier, value) == ("lst_offset", pytest.approx(-zone_h, abs=4 * sigma))
+    assert "in Europe's summer time" in error.sentence
+    assert "local time with summer time?" in error.sentence
+    assert np.abs(right.spectra.time_unix - spectra.time_unix).max() / 3600.0 < 4 * sigma
+    zone = put_right(replace(spectra, time_unix=spectra.time_unix + 7200.0), Simulation(known))
+    assert "summer" not in zone.errors[0].sentence
 
 
 @pytest.mark.long

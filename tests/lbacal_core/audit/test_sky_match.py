@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.audit.sky_match import SkyMatch, load_models
+from lbacal_core.audit.sky_match import SkyMatch, is_summer_time, load_models
 from lbacal_core.audit.station import (
     BAND_SPREAD,
     SHARE,
@@ -94,6 +94,13 @@ def test_a_longitude_beyond_90_deg_was_never_a_latitude_and_its_sign_is_a_shift_
     assert (line.check, line.verdict) == ("place", "wrong")
     assert "the longitude has the wrong sign (-507 min)" in line.sentence
     assert "exchanged" not in line.sentence
+
+
+def test_summer_time_of_europe_begins_and_ends_on_the_last_sundays_of_march_and_october():
+    edges = np.array(["2014-03-30T01", "2014-10-26T01", "2015-03-29T01", "2015-10-25T01"], dtype="datetime64[s]")
+    at = edges.astype(float)
+    assert is_summer_time(at).tolist() == [True, False, True, False]
+    assert is_summer_time(at - 1.0).tolist() == [False, True, False, True]
 
 
 FREQUENCY, LST = np.array([40.0, 60.0]), np.arange(24.0)

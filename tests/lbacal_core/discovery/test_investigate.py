@@ -202,3 +202,17 @@ def test_a_step_beside_a_wave_of_the_sky_is_named_with_its_size(world, is_own_sk
     assert (found["cause"], found["evidence"]["target"]) == ("gain_step", "antenna 1")
     assert abs(found["size"]["value"] - 0.03) < 3 * found["size"]["sigma"]
     assert (report["unexplained"] is None) == is_own_sky
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("turn", [-35.0, 50.0])
+def test_one_arm_that_the_audit_calls_turned_was_consistent_or_both_arms_turned_by_half(world, turn):
+    arms = world.instrument.dipole_azimuth_deg
+    truly = replace(world.instrument, dipole_azimuth_deg={**arms, "Y": arms["Y"] + turn})
+    report = investigate_under(compute_sky_power(truly, antenna=world.instrument.antenna), world)
+    assert report["verdict"] == "explained"
+    (finding,) = report["findings"]
+    assert (finding["cause"], finding["evidence"]["of_record"]) == ("dipole_azimuth", True)
+    assert finding["where"]["dipoles"] == ["Y"]
+    assert "the arm of Y alone is turned" in finding["sentence"]
+    assert abs(finding["size"]["value"] - turn) < 3 * finding["size"]["sigma"]
