@@ -53,15 +53,16 @@ class CableTable:
         return cls(instrument.cables, instrument.antennas)
 
     @cached_property
-    def _records(self) -> Mapping[tuple[str, int], Sequence[AntennaRecord]]:
-        found: dict[tuple[str, int], list[AntennaRecord]] = {}
+    def records(self) -> Mapping[tuple[str | None, int | None], Sequence[AntennaRecord]]:
+        """The records by station and antenna."""
+        found: dict[tuple[str | None, int | None], list[AntennaRecord]] = {}
         for record in self.antennas:
             found.setdefault((record.station, record.antenna), []).append(record)
         return found
 
     def cable_of(self, station: str, antenna: int, time_unix: float) -> str | None:
         """Name of the cable of an antenna at an instant; None where none is on record."""
-        records = self._records.get((station, antenna), ())
+        records = self.records.get((station, antenna), ())
         return next((record.cable for record in records if record.covers(time_unix)), None)
 
     def as_dict(self) -> dict[str, Any]:

@@ -23,6 +23,7 @@ from lbacal_core.calibration.slow_changes import SlowChange, spread_over_band
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import name_path
 from lbacal_core.grids import Floats
+from lbacal_core.instrument.antennas import AntennaRecord
 from service.errors import NotFoundError
 from service.schema.tables import change, change_decision, change_evidence
 from service.storage.rows import Store, equal, from_row, to_row
@@ -328,7 +329,10 @@ def concerns(kept: KeptChange, antenna: int | None, dipole: str | None) -> bool:
 
 @dataclass(frozen=True)
 class Epoch:
-    """A time [start, end) in which nothing changed that is in force; `because` and `ended_by` are the changes there."""
+    """A time [start, end) in which nothing changed that is in force or on record.
+
+    `because` and `ended_by` are the changes there; None where a record of the instrument begins or ends, or it is open.
+    """
 
     start: Instant | None
     end: Instant | None
@@ -336,15 +340,19 @@ class Epoch:
     ended_by: int | None
 
 
-def split_epochs(scope: Scope, changes: Iterable[KeptChange]) -> list[Epoch]:
+def split_epochs(scope: Scope, changes: Iterable[KeptChange], records: Iterable[AntennaRecord] = ()) -> list[Epoch]:
     """The times between changes in force at which windows of a path are cut, or which are of a whole station.
 
     Parameters
     ----------
     changes
         Those of the scope itself; others are not left out.
+    records
+        Those of a path in the instrument, which cut by themselves.
     """
-    dates = {
+    ends = (end for one in records for end in (one.since, one.until) if end is not None)
+    dates: dict[Instant, int | None] = {round(end * SECOND_US): None for end in ends}
+    dates |= {
         one.change.date: one.number
         for one in changes
         if one.cuts and (scope.antenna is not None or not one.change.paths)

@@ -14,6 +14,7 @@ from lbacal_core.calibration.spreads import ServedCurve, serve_reference
 from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.curves.validity import Instant, Promotion, Scope, Stretch
 from lbacal_core.errors import BadInputError, name_path, require_antenna, require_name
+from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import Remembered
 from service.errors import NotInEffectError
@@ -103,7 +104,8 @@ class CurveInEffect:
         named = " and ".join(f"change {one.number} ({one.change.kind})" for one in self.slow)
         followed = f"; C follows {named}, which adds an error of {100.0 * served.error:.2f} %" if named else ""
         ends = [
-            f"change {number} of {format_instant(date)[:10]} {does} its epoch"
+            f"{'a record of the instrument' if number is None else f'change {number}'} of {format_instant(date)[:10]} "
+            f"{does} its epoch"
             for number, date, does in ((epoch.because, epoch.start, "begins"), (epoch.ended_by, epoch.end, "ends"))
             if date is not None
         ]
@@ -265,7 +267,9 @@ class Calibrations:
             """The curve that a path is served; of an array that was asked for by itself, those of its chains."""
             version, trace = versions[str(promotion.calibration)], tuple(asked[path])
             is_held = promotion == held.get(path)
-            scope, epoch = promotion.scope, _find_epoch(path, at, of_antenna)
+            chain = version.chains.get(str(path.dipole))
+            records = () if chain is None else chain.cables.records.get(path.parts[:2], ())
+            scope, epoch = promotion.scope, _find_epoch(path, at, of_antenna, records)
             over = (cut for cut in cuts[scope] if bridging.get((scope, cut.date)) == promotion.calibration)
             changed = next((cut.warning for cut in over), None)
             slow = find_slow(scope, of_antenna)
@@ -356,10 +360,10 @@ def _list_cuts(scope: Scope, of_antenna: ByAntenna) -> list[Cut]:
     return [cut for one in own for cut in one.cuts if cut.antenna in (None, scope.antenna)]
 
 
-def _find_epoch(path: Scope, at: Instant, of_antenna: ByAntenna) -> Epoch:
+def _find_epoch(path: Scope, at: Instant, of_antenna: ByAntenna, records: Sequence[AntennaRecord]) -> Epoch:
     """The epoch of a path, or of a whole station, in which an instant lies: both dipoles are cut alike."""
     own = _of(of_antenna, path.station, path.antenna)
-    return next(one for one in split_epochs(path, own) if one.end is None or at < one.end)
+    return next(one for one in split_epochs(path, own, records) if one.end is None or at < one.end)
 
 
 def _of(of_antenna: ByAntenna, station: str | None, antenna: int | None) -> list[KeptChange]:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from lbacal.instants import format_instant
 from lbacal_core.calibration.spreads import serve_reference
+from lbacal_core.curves.reference_chain import CableTable
 from lbacal_core.curves.validity import Instant, Promotion, Scope, Stretch, timeline
 from lbacal_core.instrument.instrument import Instrument
 from service.storage.alarms import LOST_PATH, STATES, Alarm, AlarmsAsked, News
@@ -83,7 +84,7 @@ class Lives:
         of_antenna = group_by_antenna(changes)
         return Life(
             scope,
-            split_epochs(scope, changes),
+            split_epochs(scope, changes, CableTable.of(self.instrument).records.get(scope.parts[:2], ())),
             stretches,
             [_follow(one, answering[str(one.calibration)], of_antenna) for one in stretches],
             withdrawals,

@@ -234,9 +234,9 @@ class TraceAnswer(Answer):
 
 
 class EpochAnswer(Stretch):
-    """A time in which nothing changed that is in force."""
+    """A time in which nothing changed that is in force, or in the records of the antenna."""
 
-    because: int | None = Field(description="the change that began it")
+    because: int | None = Field(description="the change that began it; null where a record did")
 
 
 class CurveInEffectAnswer(CurveAnswer):

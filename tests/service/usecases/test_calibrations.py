@@ -253,6 +253,10 @@ def test_the_cable_at_the_date_is_used_when_it_was_exchanged(
     assert [one["curves"][0]["reference"]["cable"] for one in told] == ["50", "115"]
     ratio = np.array(told[1]["curves"][0]["c"]) / np.array(told[0]["curves"][0]["c"])
     np.testing.assert_allclose(ratio**2, superterp.cables["50"] / superterp.cables["115"])
+    # the epoch said that nothing changed, and that the window was cut there was not said
+    then = "2014-07-10T13:46:40Z"
+    assert [tuple(one["curves"][0]["epoch"].values()) for one in told] == [(None, then, None), (then, None, None)]
+    assert "a record of the instrument of 2014-07-10 begins its epoch" in told[1]["curves"][0]["why"]
 
 
 def test_what_a_mean_is_of_is_stored_with_it_shown_and_compared_through_one_cable(
