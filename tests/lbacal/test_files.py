@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from lbacal.files import UnwritableError, written_beside
-from lbacal.settings import CLIENT_SETTINGS, SERVER_SETTINGS
+from lbacal.settings import CLIENT_SETTINGS, SERVER_SETTINGS, require_known_settings
+from lbacal_core.errors import BadInputError
 from service.config import Settings
 
 
@@ -35,13 +36,21 @@ def test_a_file_is_replaced_when_the_new_one_is_whole(tmp_path: Path) -> None:
     assert names_in(tmp_path) == ["fit.json"]
 
 
-@pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "No space left on device"), KeyboardInterrupt()])
+FULL = "No space left on device"
+OF_HDF5 = f"can't write (file write failed: time = Sun, errno = 28, error message = '{FULL}', buf = 0x1, size = 7)"
+
+
+@pytest.mark.parametrize(
+    "error", [OSError(errno.ENOSPC, FULL), OSError(OF_HDF5), RuntimeError(OF_HDF5), KeyboardInterrupt()]
+)
 def test_whatever_stops_the_writing_leaves_what_was_there(tmp_path: Path, error: BaseException) -> None:
     path = tmp_path / "fit.json"
     path.write_text("old")
     expected = KeyboardInterrupt if isinstance(error, KeyboardInterrupt) else UnwritableError
-    with pytest.raises(expected):
+    with pytest.raises(expected) as told:
         write_half(path, error)
+    sentence = f"{path} could not be written: {FULL}; what was there before is unchanged"
+    assert str(told.value) == ("" if expected is KeyboardInterrupt else sentence)
     assert (path.read_text(), names_in(tmp_path)) == ("old", ["fit.json"])
 
 
@@ -115,3 +124,16 @@ def test_a_setting_that_nobody_reads_was_accepted_by_client_commands(
     assert done.stderr.startswith(f"lbacal: LBACAL_{name}: expected a name")
     assert near in done.stderr
     assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"), [("FOO", "a name in docs/settings.md"), ("ULR", "a name such as LBACAL_URL")]
+)
+def test_a_setting_that_nobody_reads_is_refused_with_the_name_that_is_near(
+    name: str, expected: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    require_known_settings()
+    monkeypatch.setenv(f"LBACAL_{name}", "1")
+    with pytest.raises(BadInputError) as told:
+        require_known_settings()
+    assert str(told.value) == f"LBACAL_{name}: expected {expected}, found this one"

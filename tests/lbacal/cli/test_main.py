@@ -5,8 +5,10 @@ import json
 import re
 import subprocess
 import sys
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -89,6 +91,20 @@ def test_every_command_is_listed_once_in_a_group_with_its_whole_first_sentence()
     assert [title for title in command.GROUPS if f"\n{title}:\n" not in shown] == []
     assert "name the cause, extend the\n" in shown
     assert "..." not in shown.partition("Options:")[2]
+
+
+def test_commands_of_other_wheels_come_in_one_order_wherever_the_wheels_lie(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The reference of all commands, docs/commands.md, is the same on every machine."""
+    for listed in (("server", "paper"), ("paper", "server")):
+        loaded = list[str]()
+        wheels = [SimpleNamespace(name=name, load=partial(loaded.append, name)) for name in listed]
+        monkeypatch.setattr(command, "entry_points", lambda wheels=wheels, **_: _Wheels(wheels))
+        command.add_commands.__wrapped__()
+        assert loaded == ["paper", "server"]
+
+
+class _Wheels(list[Any]):
+    names = frozenset(command.ADDED)
 
 
 RUN_OR_WRITE = (

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import csv
+import io
 import json
 import re
 from dataclasses import replace
@@ -15,6 +17,7 @@ from lbacal.analysis.budget import ErrorBudget, draw_budget
 from lbacal.analysis.result import align
 from lbacal.cli.main import app
 from lbacal.pages.chart import Chart, Series, plot_charts
+from lbacal.pages.curves import draw_residuals
 from lbacal.pages.finding import draw_finding, draw_scores, draw_sentence, draw_station, tell_finding
 from lbacal.pages.fit import (
     average_residuals,
@@ -209,6 +212,17 @@ def test_flagged_channels_are_marked_and_bands_hold_both_errors() -> None:
     assert flagged.titles == ["CS002 antenna 3 X 30 MHz: uncertain"]
 
 
+def test_a_map_of_residuals_has_a_row_an_hour_of_the_day_and_a_column_a_channel() -> None:
+    values = 0.001 * np.add.outer(100 * np.arange(24), np.arange(51))
+    chart = draw_residuals("of a path", FREQUENCY, values, 3.0)
+    _, *rows = csv.reader(io.StringIO(chart.csv()))
+    told = {(float(nu), float(hour)): float(name.removeprefix("% ")) for name, nu, hour, *_ in rows}
+    expected = {(30.0 + c, h + 0.5): 0.1 * (100 * h + c) for h in range(24) for c in range(51)}
+    assert told == pytest.approx(expected)
+    assert (chart.title, chart.x_label, chart.y_label) == ("of a path", "frequency (MHz)", "local sidereal time (h)")
+    assert (chart.y_limits, chart.series[0].limit) == ((0.0, 24.0), 3.0)
+
+
 FREQUENCY_OF_BUDGET = np.array([30.0, 55.0, 80.0])
 TERMS = [
     BudgetTerm("sky", "a paper", {p: np.full((1, 3), 0.11) for p in "XY"}),
@@ -248,6 +262,7 @@ def test_small_terms_of_a_budget_are_one_band_and_nothing_is_lost():
     many = [BudgetTerm(f"term {k}", "a paper", {"X": np.full((1, 3), 0.01 * k)}) for k in range(1, 8)]
     of_x, every = draw_budget(Budget(FREQUENCY_OF_BUDGET, many))
     assert [one.name for one in of_x.series] == ["term 7", "term 6", "term 5", "term 4", "term 3", "2 more", "total"]
+    assert len({one.colour for one in of_x.series}) == len(of_x.series), "each is found in the legend by its colour"
     np.testing.assert_allclose(of_x.series[-1].y, 100 * np.sqrt(sum((0.01 * k) ** 2 for k in range(1, 8))))
     assert len(every.rows) == 1 + len(many)
 

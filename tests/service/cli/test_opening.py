@@ -18,7 +18,9 @@ import pytest
 import typer
 
 from lbacal.cli.main import ADDED, ENTRY_POINTS, add_commands, app
-from service.config import Settings
+from lbacal_core.errors import BadInputError
+from service.cli import background
+from service.config import Settings, read_settings
 from service.storage.database import Database
 from service.storage.migration import upgrade
 from validation.running.processes import Process, find_free_port, get, is_ready, run_command, running, wait_until
@@ -282,3 +284,32 @@ def test_the_entry_points_add_their_commands_to_this_app() -> None:
     found = entry_points(group=ENTRY_POINTS)
     assert found.names == set(ADDED)
     assert {one.load().app for one in found} == {app}
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "expected", "found"),
+    [
+        ("DATABASE_URL", "mysql://me:hidden-word@host/lbacal", "a file, or postgresql://user@host/name", "'mysql://...'"),
+        (
+            "DATABASE_URL", "postgresql://me:hidden-word@host:port/lbacal",
+            "a number as port in postgresql://user@host:port/name", "'postgresql://...'",
+        ),
+        ("DATABASE_URL", "", "a file, or postgresql://user@host/name", "''"),
+        ("WAIT_S", "soon://or later", "a valid number, unable to parse string as a number", "'soon://or later'"),
+    ],
+)  # fmt: skip
+def test_a_wrong_setting_is_named_with_what_it_is_and_a_database_without_its_password(
+    name: str, value: str, expected: str, found: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(f"LBACAL_{name}", value)
+    with pytest.raises(BadInputError) as told:
+        read_settings()
+    assert str(told.value) == f"LBACAL_{name}: expected {expected}, found {found}"
+
+
+def test_a_child_ends_well_once_its_input_is_closed_and_not_while_it_is_open(monkeypatch: pytest.MonkeyPatch) -> None:
+    heard, ended = [b"a line", b"another", b""], list[int]()
+    monkeypatch.setattr(background.os, "read", lambda _descriptor, _most: heard.pop(0))
+    monkeypatch.setattr(background.os, "_exit", ended.append)
+    background._end_with_parent()
+    assert (heard, ended) == ([], [0])

@@ -6,6 +6,8 @@ from typing import Any
 import pytest
 from fastapi.testclient import TestClient
 
+from service.app import _list_routes
+
 PATH = {"station": "CS001", "antenna": "0", "dipole": "X"}
 WRONG = {
     "station": ("cs001", "(is CS001 meant?)"),
@@ -55,3 +57,20 @@ def test_every_route_that_acts_offers_the_station_that_is_near(
 ) -> None:
     answer = client.post(route, json=body)
     assert (answer.status_code, "(is CS001 meant?)" in answer.json()["detail"]) == (422, True), answer.text
+
+
+def test_every_route_refuses_a_parameter_that_it_does_not_have_and_whoever_takes_nothing_that_it_answers(
+    client: TestClient,
+) -> None:
+    """A misspelt filter would answer about everything."""
+    answered = []
+    for route in (route for router in _list_routes() for route in router.original_router.routes):
+        address = re.sub(r"{(\w+)(:path)?}", lambda m: PATH.get(m[1], "1"), route.path)
+        for method in route.methods:
+            asked = [({"params": {"statoin": "CS001"}}, 422), ({"headers": {"Accept": "application/x-none"}}, 406)]
+            for how, status in asked:
+                answer = client.request(method, address, **how)
+                answered.append((method, route.path, status, answer.status_code))
+    answered.remove(("GET", "/static/{digest}/{name}", 406, 404))  # a file has the type that it has
+    assert len(answered) > 100
+    assert [one for one in answered if one[2] != one[3]] == []

@@ -178,9 +178,9 @@ def test_months_have_a_gain_and_two_modes(station: Factory) -> None:
 
 
 def test_open_parts_are_counted_and_of_the_ended_those_that_ended_lately(factory: Factory) -> None:
-    parts = [{"station": f"CS{k:03d}"} for k in range(8)]
+    parts = [{"station": f"CS{k:03d}"} for k in range(9)]
     with factory.database.write() as stores:
-        stores.jobs.add(Order("refit", {}, parts, "test", "test"), 1)
+        stores.jobs.add(Order("refit", {}, parts, "test", "test", inputs="a sky"), 1)
     states = [("running", None), ("failed", 9), ("failed", 11), ("cancelled", 11)]
     states += [("done", ended) for ended in (9, 10, 11)]
     with factory.database.engine.begin() as connection:
@@ -189,5 +189,6 @@ def test_open_parts_are_counted_and_of_the_ended_those_that_ended_lately(factory
             change = text("UPDATE job_part SET state = :state, ended_us = :ended WHERE id = :number")
             connection.execute(change, {"state": state, "ended": ended, "number": number})
     with factory.database.read() as stores:
-        counts = stores.jobs.count_by_state(10)
-    assert counts == {"queued": 1, "running": 1, "done": 2, "failed": 1, "cancelled": 1}
+        counts, waiting = stores.jobs.count_by_state(10), stores.jobs.waiting()
+    assert counts == {"queued": 2, "running": 1, "done": 2, "failed": 1, "cancelled": 1}
+    assert waiting == {"a sky": 2}, "what runs waits for no worker"

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,18 @@ from service.scheduler import look_for_due_work
 from service.storage.models import Investigation
 from service.storage.versions import Version
 from service.usecases.alarms import find_named
-from tests.service.conftest import Clock, add_spectra, flat_spectra, instant, like, night, promote, served, work
+from tests.service.conftest import (
+    Clock,
+    add_spectra,
+    flat_spectra,
+    instant,
+    like,
+    new_version,
+    night,
+    promote,
+    served,
+    work,
+)
 
 DAY_S = 86_400.0
 
@@ -100,6 +112,24 @@ def test_due_work_that_fails_is_an_alarm_at_once_and_what_somebody_asked_for_is_
     work(factory)
     factory.alarms.look()
     assert [one["sentence"] for one in alarms(client, kind="failed_job")] == sentences
+
+
+def test_a_window_whose_newest_version_misfits_is_an_alarm_until_one_fits(
+    factory: Factory, client: TestClient, clock: Clock
+) -> None:
+    path, station = Scope("CS001", 0, "X"), Scope("CS001")
+    fits, misfits = (new_version(scope, "fits") for scope in (path, station)), new_version(path, "misfits")
+    misfits = replace(misfits, made=clock.now, curves=tuple(one.as_misfit() for one in misfits.curves))
+    with factory.database.write() as stores:
+        stores.versions.add([*fits, misfits])
+    factory.alarms.look()
+    (told,) = alarms(client, kind="misfit")
+    window = "2014-01-01 to 2015-01-01: the chain does not describe the spectra within noise and priors (misfit)"
+    assert told["sentence"] == f"1 paths of CS001, {window}"
+    with factory.database.write() as stores:
+        stores.versions.add([replace(new_version(path, "fits again"), made=clock.now + 1)])
+    factory.alarms.look()
+    assert alarms(client, kind="misfit") == []
 
 
 def test_alarms_stand_in_metrics_in_the_status_and_on_top_of_the_overview(

@@ -138,6 +138,19 @@ def test_what_is_kept_is_what_all_months_say(measured_of_months: Factory) -> Non
         ]
 
 
+def test_a_month_of_one_path_lies_between_its_value_less_and_more_one_standard_deviation(
+    measured_of_months: Factory,
+) -> None:
+    path = Scope("CS001", 1, "Y")
+    with measured_of_months.database.read() as stores:
+        years = stores.drift.months_of_paths("CS001")
+        months = read_months(stores, [path])[path]
+    ratio, sigma = np.concatenate([year.ratios[year.paths.index(path), :, :2] for year in years]).T
+    ends = np.array([(one.low, one.c_ratio, one.high) for one in months])
+    assert ends == pytest.approx(np.stack([ratio - sigma, ratio, ratio + sigma], axis=1))
+    assert {(one.paths, one.events, one.shape) for one in months} == {(1, 10, (0.002, -0.001))}
+
+
 def test_the_array_is_never_told_from_months_that_a_station_had_before(measured_of_months: Factory) -> None:
     """What is kept of all stations follows from the months of each: one measured anew changes it at once."""
     before = _months_of_all(measured_of_months)[Scope()]

@@ -9,8 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lbacal.engine import Engine
 from lbacal.instants import parse_instant
+from lbacal_core.calibration.singles import MIN_EVENTS
 from lbacal_core.causes.model import AdoptedCause, Model
+from lbacal_core.curves.curves import Repeated
 from lbacal_core.curves.validity import Scope
 from lbacal_core.discovery.calibrate import fit_causes
 from lbacal_core.instrument.instrument import Instrument
@@ -19,10 +22,12 @@ from lbacal_core.sky.table import read_sky_power
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
-from service.usecases.fits import Fits, Wanted
+from service.config import Settings
+from service.factory import Factory
+from service.usecases.fits import Fits, Wanted, _explain_repeated
 from service.usecases.watch import YEAR_US
 from service.usecases.windows import Neighbours
-from tests.service.conftest import Clock
+from tests.service.conftest import Clock, new_version
 
 LATE = AdoptedCause("lst_offset", "CS002", "station", 0.15, 0.02)
 
@@ -93,3 +98,24 @@ def test_a_fit_of_other_input_is_another(change: Any, spectra: Spectra, fits: Fi
     other = fits.fit_causes(**{**asked, **change(spectra)})
     assert other is not first
     assert fits.fit_causes(**asked) is not first, "only the last one is kept"
+
+
+def test_a_version_says_of_each_dipole_what_other_windows_gave_it_or_why_they_gave_nothing() -> None:
+    (curve,) = new_version(Scope("CS001", 0, "X"), "one").curves
+    few, many = replace(curve, events=MIN_EVENTS - 1), replace(curve, events=MIN_EVENTS)
+    alone, shared = Repeated(1, 3.456), Repeated(4, 1.0)
+    told = "too few events for a fit: C of X is that of other windows, with a gain of its own"
+    assert _explain_repeated([replace(few, repeated=shared)]) == [told]
+    assert _explain_repeated([replace(many, repeated=shared), many, few]) == []
+    assert _explain_repeated([replace(one, repeated=alone) for one in (few, many)]) == 2 * [
+        "X is fitted by itself: it does not repeat what other windows say (chi^2 per degree of freedom 3.46)"
+    ]
+
+
+def test_fits_are_made_where_the_service_was_told_to_compute(instrument_file: Path, tmp_path: Path) -> None:
+    class Elsewhere(Engine):
+        def call(self, _function: Any, _owner: Any, *of: Any) -> Any:
+            return f"{of[-1]}, made elsewhere"
+
+    settings = Settings(database_url=str(tmp_path / "none.sqlite"), instrument=str(instrument_file))
+    assert Factory(settings, engine=Elsewhere()).fits.elsewhere(len, "a fit") == "a fit, made elsewhere"

@@ -17,8 +17,10 @@ from service.scheduler import look_for_due_work
 from service.schema.tables import calibration, spectrum
 from service.storage.changes import STEP, Change, Decision, Evidence, KeptChange
 from service.storage.jobs import Job, Part
+from service.storage.sums import KeptPiece
 from service.storage.versions import Examined, Version
-from service.usecases.refits import _confirm, _find_alike
+from service.usecases.fits import read_served
+from service.usecases.refits import _confirm, _find_alike, _list_before
 from service.usecases.windows import ALONE
 from service.wire.bodies import ChangeBody, DecisionBody, PromotionBody
 from tests.service.conftest import (
@@ -264,6 +266,33 @@ def test_due_work_that_was_news_answered_where_a_person_had_withdrawn(factory: F
     assert keep(new) == ([(end, until)] if share < 1.0 else [])
     promote(new, "key 1")
     assert keep(newest) == [(since, until)]
+
+
+def test_a_night_asks_what_answered_when_the_changes_were_those_of_now(factory: Factory) -> None:
+    """The same fit that was in effect before a change was found is to answer again once it is dismissed."""
+    scope = Scope("CS001", 0, "X")
+    early, before, after = (
+        replace(new_version(scope, name, c), inputs={"spectra": name})
+        for name, c in (("early", 0.99), ("before", 1.0), ("after", 1.01))
+    )
+    window = before.window
+
+    def list_before(found: int, served: Version) -> dict[Any, Any]:
+        said = (Decision("dismissed", found + 1, "", ""),)
+        change = KeptChange(1, Change("CS001", ((0, "X"),), STEP, 0, 0), found, (Evidence("drift", "", 9.0, 0),), said)
+        piece = KeptPiece(*window, [], [read_served(served, (), is_in_effect=True)])
+        return _list_before(stores, [piece], [change])
+
+    with factory.database.write() as stores:
+        stores.versions.add([early, before, after])
+        made = [Promotion(0, scope, *window, one.id, 0, "night", "") for one in (early, before, after)]
+        (_, then, now) = [stores.ledger.append([one], factory.clock)[0] for one in made]
+        ((key, one),) = list_before(then.at, after).items()
+        assert list_before(now.at, after) == {}, "it answers now as then"
+        assert list_before(0, after) == {}, "nothing answered then"
+    assert key == (scope, *window)
+    assert (one.calibration, one.is_in_effect) == (before.id, False)
+    np.testing.assert_array_equal(one.curves["X"][0], before.curves[0].c)
 
 
 def test_changes_are_in_force_as_before_where_a_decision_is_undone_and_for_the_paths_it_concerns() -> None:
