@@ -130,6 +130,31 @@ def test_what_cannot_be_adopted_says_why(report, message):
         Model.from_report(REPORT, 3)
 
 
+WORDS = {"place": "receiver", "law": ["flat"], "course": ["working days"]}
+SAID = {"cause": "sentence", "target": "antenna 4", "size": {"value": 0.08, "sigma": 0.01}, "parameters": WORDS}
+LEFT = {
+    "gain": {"chi2": 400.0, "terms": 100},
+    "term": {"axis": "utc", "X": [[0.01, 0.02]]},
+    "where": {"station": "CS003", "axis": "utc", "target": "station", "dates": ["2015-01-01T03:04:05Z"]},
+    "sentences": [],
+}
+
+
+def test_structure_is_adopted_in_words_and_without_as_its_term_less_the_noise_in_it():
+    def adopt(**changes):
+        (adopted,) = Model.from_report({"findings": [], "unexplained": {**LEFT, **changes}}, "unexplained").causes
+        assert (adopted.station, adopted.since_unix) == ("CS003", 1_420_081_445)
+        return adopted
+
+    said, term = adopt(sentences=[SAID]), adopt()
+    assert (said.cause, said.target, said.size, said.sigma) == ("sentence", "antenna 4", 0.08, 0.01)
+    assert said.parameters == WORDS
+    assert (term.cause, term.target, term.size, term.sigma) == ("residual_structure", "station", 0.75, 0.05)
+    assert term.parameters == LEFT["term"]
+    with pytest.raises(BadInputError, match=r"an axis that recurs, .*found structure along utc in station$"):
+        adopt(term=None)
+
+
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"format": "lbacal-model-2", "causes": []}', "null"])
 def test_another_text_is_no_model(text):
     with pytest.raises(BadInputError, match="model"):

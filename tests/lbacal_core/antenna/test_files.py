@@ -236,6 +236,17 @@ def test_a_dipole_comes_back_with_its_level_from_xml_and_from_a_pickle(protocol,
     np.testing.assert_allclose(zenith_gain(table, nu), zenith_gain(DIPOLE, nu), rtol=1e-5)
 
 
+@pytest.mark.parametrize("protocol", [2, 5])
+def test_arrays_of_a_pickle_may_lie_in_memory_by_columns(protocol, tabulated, tmp_path):
+    """Where some do and others do not, values belong to other directions if the order is not read."""
+    made = columns(tabulated)
+    shape = tabulated.frequency_mhz.size, -1
+    made[4:] = [np.array(one.reshape(shape), order="CFCFF"[k]) for k, one in enumerate(made[4:])]
+    path = tmp_path / "dipole.pkl"
+    path.write_bytes(pickle.dumps(made, protocol=protocol))
+    tabulated.require_the_same(load_antenna(str(path)))
+
+
 @dataclass(frozen=True)
 class Touches:
     """Made again by calling `os.mkdir`, as a hostile pickle calls what it likes."""

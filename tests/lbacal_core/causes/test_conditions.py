@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.causes.antenna import DipoleSwap
-from lbacal_core.causes.axes import AXES, axis_named, list_axes
+from lbacal_core.causes.axes import AXES, _period, axis_named, list_axes
 from lbacal_core.causes.cable import CableReflection
 from lbacal_core.causes.sky import sky_ratios
 from lbacal_core.sky.power import vary_sky_power
@@ -69,6 +69,13 @@ def test_a_day_has_five_harmonics_and_no_more(name, conditions):
     hours, basis = axis.values(conditions), axis.basis(conditions)
     assert left_of(np.cos(2 * np.pi * 5 * hours / 24 + 1.0), basis) < 1e-6
     assert left_of(np.cos(2 * np.pi * 7 * hours / 24 + 1.0), basis) > 0.5
+
+
+def test_a_period_of_dates_has_two_harmonics_and_no_more(conditions):
+    days, tides = conditions.time_unix / 86_400.0, _period(14.77)
+    left = [left_of(np.cos(2 * np.pi * k * days / 14.77 - 0.4), tides.basis(conditions)) for k in (1, 2, 3)]
+    assert left == [pytest.approx(0.0, abs=1e-9), pytest.approx(0.0, abs=1e-9), pytest.approx(1.0, abs=0.1)]
+    assert (tides.name, tides.label) == ("date, period 14.77 d", "day of a period of 14.77 days")
 
 
 def test_every_column_of_env_that_varies_is_an_axis_by_its_name(conditions):

@@ -9,7 +9,7 @@ import pytest
 from lbacal_core.causes.catalogue import CAUSES, FORMAT, NamedSentence, catalogue_with
 from lbacal_core.causes.grammar import parts_of
 from lbacal_core.causes.model import Model
-from lbacal_core.discovery.describe import CERTAIN, Description, _fit_likely, describe_structure
+from lbacal_core.discovery.describe import CERTAIN, Description, _amounts, _fit_likely, describe_structure
 from lbacal_core.discovery.hypothesis import list_targets
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.refit import fit_chain
@@ -46,9 +46,14 @@ def test_noise_is_not_put_into_words(station):
 
 def test_noise_of_receivers_on_working_days_is_said_so_and_adopted(spoil, simulation):
     spectra = spoil(WorkingWeek(size=0.08))
-    report, _ = investigate(spectra, simulation)
+    report, (found,) = investigate(spectra, simulation)
     left = report["unexplained"]
     first = left["sentences"][0]
+    said, targets = found.description.sentences[0], list_targets(found.last.station)
+    amounts = _amounts(found.last.linear, said, targets)
+    of_antennas = {antenna: pytest.approx((0.08, 0.006), rel=0.3) for antenna in range(8)}
+    assert amounts == of_antennas, "each shows all of it, to first order"
+    assert _amounts(found.last.linear, said, [one for one in targets if one.scope != "antenna"]) == {}
     assert (first["parameters"]["place"], first["parameters"]["course"]) == ("receiver", ("working days",))
     assert first["equation"].startswith("N_RCU -> N_RCU (1 + a ")
     assert abs(first["size"]["value"] - 0.08) < 4 * first["size"]["sigma"]
@@ -146,7 +151,10 @@ def test_a_cause_of_a_column_waits_for_data_that_have_it(station):
     windy = NamedSentence.of("windy", {"place": "front", "law": ["flat"], "course": ["over", "wind_m_s", 9.0]})
     assert windy.templates(station.conditions) == []
     speed = np.linspace(0.0, 20.0, station.conditions.time_unix.size)
-    assert len(windy.templates(station.conditions.with_covariates(wind_m_s=speed))) == 1
+    conditions = station.conditions.with_covariates(wind_m_s=speed)
+    (named,) = windy.templates(conditions)
+    assert parts_of(named) == ("front", ("flat",), ("over", "wind_m_s", 9.0))
+    assert windy.finer_templates(conditions, named) == [named], "whoever named it said its numbers"
 
 
 @pytest.mark.long

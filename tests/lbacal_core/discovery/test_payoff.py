@@ -9,8 +9,9 @@ from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.model import PLAIN, AdoptedCause, Model
 from lbacal_core.discovery.adopted import measure_gains, promise_of, true_share
+from lbacal_core.discovery.calibrate import promise_of_structure
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
-from lbacal_core.discovery.left_open import investigate_openly, weigh_alternatives
+from lbacal_core.discovery.left_open import _without, investigate_openly, weigh_alternatives
 from lbacal_core.discovery.refit import fit_chain, refit
 from lbacal_core.discovery.station import gather_stations
 from lbacal_twin.faults.fault import Where
@@ -106,6 +107,16 @@ def test_a_strong_finding_promises_half_its_squared_snr():
     assert promise.sigma == pytest.approx(np.sqrt(2 * 30.0**2 + 45.0**2))
 
 
+def test_structure_promises_what_is_no_noise_of_its_gain():
+    """In words it is adopted as it is, less what its numbers gain by chance; as a term that was shrunk."""
+    words = {"place": "receiver", "law": ["power", -2.0], "course": ["near", "solar rotation", 0.5, 0.1]}
+    said = promise_of_structure({"sentences": [{"gain": {"chi2": 100.0}, "parameters": words}]})
+    assert (said.gain, said.sigma) == (50.0 - 4.0, 10.0)  # its size and three numbers
+    term = promise_of_structure({"sentences": [], "gain": {"chi2": 100.0, "terms": 20}})
+    assert (term.gain, term.sigma) == pytest.approx((80.0**2 / 200.0, 0.8 * 10.0))
+    assert promise_of_structure({"gain": {"chi2": 20.0, "terms": 20}}).gain == 0.0, "all of it is noise"
+
+
 def test_a_weak_finding_promises_less_because_it_was_selected():
     weak = {**FINDING, "size": {"value": 0.05, "sigma": 0.01}, "gain": {"chi2_before": 1025.0, "chi2_after": 1000.0}}
     weak["evidence"] = {**FINDING["evidence"], "score_sigma": 5.0}
@@ -162,6 +173,13 @@ def test_what_fits_nearly_as_well_keeps_its_likelihood_and_its_own_change_of_c(w
     # a wider pattern takes up a part of the effect, so that it does not fit worse than no hypothesis
     assert other.delta_chi2 <= first.linear.chi_squared()[0] - last.linear.chi_squared()[0]
     assert np.max(np.abs(other.d_ln_c["X"] - found.d_ln_c["X"])) > 1e-3
+
+
+def test_without_its_only_finding_a_model_is_the_chain_alone(weighted):
+    _, first, last = weighted
+    alone = _without(last, last.hypotheses[0])
+    assert len(alone.hypotheses) == 0
+    np.testing.assert_allclose(alone.baseline.solution.x, first.baseline.solution.x)
 
 
 @pytest.mark.long

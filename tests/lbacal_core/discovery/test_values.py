@@ -93,8 +93,11 @@ def test_a_finding_is_told_by_its_own_hypothesis(monkeypatch):
     without, last = SimpleNamespace(linear="linear"), SimpleNamespace(hypotheses=hypotheses)
     search = SimpleNamespace(policy=Policy(), catalogue=())
     rivals = (Rival("gain_drift", "station", 4.0),)
-    found = findings._finding(without, last, 1, SimpleNamespace(score=None, rivals=rivals, sentences=()), search)
-    assert found.rivals == rivals
+    sentences = (hypotheses[0], hypotheses[2])
+    named = SimpleNamespace(score=None, rivals=rivals, sentences=sentences)
+    found = findings._finding(without, last, 1, named, search)
+    assert (found.rivals, found.sentences) == (rivals, sentences)
+    assert (found.chi2_before, found.chi2_after, found.dof) == (3.0, 2.0, 1)
     assert (found.hypothesis, found.over_noise, found.held_out_gain) == (hypotheses[1], 1, 5.0)
     assert all(hypotheses[1] in a or STATION in a for _, a in asked)
 

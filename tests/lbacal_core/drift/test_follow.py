@@ -4,8 +4,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.drift.follow import History, follow
-from lbacal_core.drift.report import describe_followed, list_changes
+from lbacal_core.drift.follow import History, _fit_line, follow
+from lbacal_core.drift.report import SILENT_EVENTS, _silent, describe_followed, list_changes
 from validation.drift_world import DAY, START, YEAR, World, draw_history
 
 WORLD = World(years=3.0, stations=3, antennas=4, events_per_year=400)
@@ -49,6 +49,37 @@ def test_two_antennas_are_compared_over_both_polarisations_and_one_with_nothing(
     assert not np.any(np.isfinite(alone.paths.terms.dates))
     assert alone.paths.events.tolist() == [0, 0]
     assert alone.whole is None
+
+
+def test_years_are_as_correlated_as_the_integral_over_all_lines_says():
+    """Over level and slope, flat, and over the scatter s, 1/s: what is left of s^-n exp(-Q / 2 s^2) is Q^(-n/2)."""
+    year, rng = np.array([0, 1, 3, 4, 6]), np.random.default_rng(4)
+    when, level = year - year.mean(), 0.05 * rng.standard_normal((5, 1))
+    turn = np.linspace(-np.pi / 2, np.pi / 2, 801)[1:-1]
+    start, slope = np.meshgrid(0.05 * np.tan(turn), 0.03 * np.tan(turn))
+    volume = 1.0 / np.cos(turn[:, None]) ** 2 / np.cos(turn) ** 2
+    told, integral = [], []
+    for correlation in (0.0, 0.2, 0.5):
+        told.append(_fit_line(year, when, level, correlation)[0].log_likelihood)
+        covariance = np.where(np.eye(5) > 0, 1.0, correlation ** np.abs(year[:, None] - year))
+        left = level[:, 0] - start[..., None] - slope[..., None] * when
+        q = np.einsum("abi,ij,abj->ab", left, np.linalg.inv(covariance), left, optimize=True)
+        integral.append(np.log(np.sum(q**-2.5 * volume)) - 0.5 * np.log(np.linalg.det(covariance)))
+    assert np.diff(told) == pytest.approx(np.diff(integral), abs=0.005)
+
+
+def test_a_path_that_is_measured_no_longer_while_its_station_is_was_silent_to_the_end():
+    history = draw_history(replace(WORLD, years=0.2), np.random.default_rng(6))
+    events = history.time_unix.size
+    history.ln_c[...] = 0.0
+    history.ln_c[3, -SILENT_EVENTS:] = np.nan
+    history.ln_c[4, -SILENT_EVENTS + 1 :] = np.nan  # too few to tell
+    history.ln_c[5, : events // 2] = np.nan  # it came back
+    history.ln_c[6] = np.nan  # never measured
+    history.ln_c[history.station == "CS003", -2 * SILENT_EVENTS :] = np.nan  # the whole station rests
+    assert list(_silent(history)) == [
+        {"station": "CS002", "antenna": 1, "dipole": "Y", "last_unix": history.time_unix[-SILENT_EVENTS - 1]}
+    ]
 
 
 MHZ = np.arange(30.0, 81.0)

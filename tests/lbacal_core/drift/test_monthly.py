@@ -83,6 +83,21 @@ def test_the_error_of_a_month_is_its_scatter():
     assert np.median(found.c_ratio_sigma) == pytest.approx(0.5 * of_gain / np.sqrt(30), rel=0.1)
 
 
+def test_the_error_of_months_of_few_events_is_on_average_the_true_one():
+    """Each month takes one of the events' degrees of freedom: six events in each of twelve months leave sixty."""
+    rng, months = np.random.default_rng(5), np.arange("2014-01", "2015-01", dtype="datetime64[M]")
+    days = months.astype("datetime64[s]").astype(float)[:, None] + 86_400.0 * np.arange(6)
+    ln_c = 0.03 * rng.standard_normal((400, days.size, 3))
+    found = average_months(EventModes(np.arange(400), days.ravel(), ln_c))
+    assert found.months.tolist() == months.tolist()
+    assert (found.events == 6).all()
+    # 400 paths of 60 degrees of freedom know a variance to 1 %
+    true = 0.03**2 / 6
+    assert np.mean(found.shape_sigma**2, axis=(0, 1)) == pytest.approx([true, true], rel=0.03)
+    assert np.mean(found.c_ratio_sigma**2) == pytest.approx(true, rel=0.05)
+    assert np.var(found.shape, axis=(0, 1)) == pytest.approx([true, true], rel=0.1)
+
+
 def test_a_path_with_four_times_the_gain_has_the_error_of_its_own_scatter():
     block, curve, instrument, sky = make_case(np.full(730, 4.0), np.random.default_rng(2), noise=0.05)
     found = measure_monthly_ratios(block, {7: curve}, instrument, sky)

@@ -69,6 +69,10 @@ def test_autocorrelations_of_both_formats_are_read_with_their_flags(tmp_path, su
         data.write_uvfits(path)
     source = open_source(path)
     assert source.arms_deg == {"X": 90.0, "Y": 0.0}
+    np.testing.assert_allclose(source.frequency_mhz, 100.0 + 0.4 * np.arange(6))
+    np.testing.assert_allclose(source.width_mhz, 0.4)
+    paths = list(zip(source.station.tolist(), source.antenna.tolist(), source.dipole.tolist(), strict=True))
+    assert paths == [("made", antenna, dipole) for antenna in range(3) for dipole in "XY"]
     spectra = average(source, None, choose_channels(source, width_mhz=0.8)).spectra
     assert len(set(spectra.event_id.tolist())) == 4
     levels = {(int(a), str(d)): p[0] for a, d, p in zip(spectra.antenna, spectra.dipole, spectra.power, strict=True)}

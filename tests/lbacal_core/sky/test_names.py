@@ -126,6 +126,7 @@ def test_the_measured_sky_is_the_map_times_the_measured_level():
     anisotropy = measured.temperature(AT_MHZ)[:, 3, 2] / base.temperature(AT_MHZ)[:, 3, 2]
     np.testing.assert_allclose(anisotropy, expected, rtol=1e-9)
     assert measured.name == "measured"
+    assert measured.origin == f"{base.origin}; level and slope as measured (docs/explanation/measured-sky.md)"
     assert measured.digest() != base.digest()
 
 

@@ -33,6 +33,14 @@ def test_white_noise_gives_its_density_over_the_resistance(make_trace):
     assert np.allclose(2 * half.power, found.power)
 
 
+def test_a_channel_by_itself_is_as_wide_as_each_of_the_band(make_trace):
+    trace, alone = make_trace(1), CleaningSettings(frequency_mhz=np.array([55.0]))
+    assert (alone.width_mhz, SETTINGS.width_mhz) == (1.0, 1.0)
+    assert CleaningSettings(frequency_mhz=np.arange(30.0, 80.0, 0.5)).width_mhz == 0.5
+    ((one,), of_band) = (measure_one(trace, settings).power for settings in (alone, SETTINGS))
+    assert one == pytest.approx(of_band[25])
+
+
 def test_a_carrier_of_blocks_that_are_in_no_segment_is_left_out(make_trace):
     """The fine search sees consecutive blocks only; the last 80 of these 400 stand alone."""
     noise, spoilt = make_trace(3), make_trace(3)
