@@ -16,6 +16,7 @@ from lbacal_core.calibration.separable import SeparableSolution, solve_separable
 from lbacal_core.discovery.station import Station
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.chain import ChainTerms
+from lbacal_core.linear import invert_symmetric
 
 
 @dataclass(frozen=True)
@@ -90,8 +91,13 @@ def _mean_terms(station: Station, solution: SeparableSolution) -> ChainTerms:
 
 def _typical_constants(solution: SeparableSolution, is_good: NDArray[np.bool_]) -> Floats:
     """Median noise constants of some paths, shape (constant,)."""
-    # A fitted level of zero or below is uncertain by its error: causes act on at least half of that error.
-    variance = np.diagonal(solution.covariance[is_good], axis1=1, axis2=2)[:, solution.x.shape[1] :]
+    # A fitted level of zero or below is uncertain by its error: causes act on at least half of that error. Of constants
+    # that are not told apart the sum is known, and so is each beside the others.
+    channels = solution.x.shape[1]
+    covariance = solution.covariance[is_good, channels:, channels:]
+    variance = np.einsum("pkk->pk", covariance)
+    information = np.einsum("pkk->pk", invert_symmetric(np.nan_to_num(covariance)))
+    variance = np.where(solution.is_merged[is_good], 1.0 / np.maximum(information, 1e-300), variance)
     floor = 0.5 * np.sqrt(np.nan_to_num(np.median(variance, axis=0)))
     levels = np.column_stack([solution.n[is_good], solution.q[is_good]])
     return np.asarray(np.maximum(np.median(levels, axis=0), floor))
