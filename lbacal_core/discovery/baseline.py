@@ -91,8 +91,8 @@ def _mean_terms(station: Station, solution: SeparableSolution) -> ChainTerms:
 
 def _typical_constants(solution: SeparableSolution, is_good: NDArray[np.bool_]) -> Floats:
     """Median noise constants of some paths, shape (constant,)."""
-    # A fitted level of zero or below is uncertain by its error: causes act on at least half of that error. Of constants
-    # that are not told apart the sum is known, and so is each beside the others.
+    # A fitted level of zero or below is uncertain by its error: causes act on at least half of that error. What
+    # constants that are not told apart add together is known, and so is each beside the others.
     channels = solution.x.shape[1]
     covariance = solution.covariance[is_good, channels:, channels:]
     variance = np.einsum("pkk->pk", covariance)
