@@ -66,6 +66,12 @@ class RecordError:
         return self.line.value, self.line.sigma
 
     @property
+    def is_as_cause(self) -> bool:
+        """Whether its cause says the same: one size for all arms, or for all of the time."""
+        is_whole = self.line.since_unix is None and self.line.until_unix is None
+        return is_whole and self.line.kind not in ("arm", SUMMER_TIME)
+
+    @property
     def label(self) -> str:
         """The antennas or the station that it concerns, as the target of a finding is called."""
         antennas = self.line.antennas

@@ -607,6 +607,8 @@ def _search_put_right(
     right = put_right(spectra, simulation)
     if right is None or (recorded.structure is None and not right.errors):
         return None
+    if recorded.structure is None and recorded.findings and all(one.is_as_cause for one in right.errors):
+        return None  # which can be adopted
     known, stations = right.simulation.differences, gather_stations(right.spectra, right.simulation)
     if not stations:  # no path that works has events enough
         return None
