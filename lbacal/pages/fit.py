@@ -103,8 +103,8 @@ def explain_chi2(curves: Sequence[CalibrationCurve]) -> str:
     flags = [flag for curve in curves if curve.c is not None for flag in curve.flags.tolist() if flag != OK]
     counted = ", ".join(f"{flags.count(flag)} channels {flag}" for flag in dict.fromkeys(flags))
     flagged = (
-        f" Flagged: {counted}; uncertain: a misfit, a statistical error above {LARGEST_GOOD_ERROR:.0%}, too many "
-        "anomalous spectra, or another antenna with a probability above 1 % by these data moves C by more."
+        f" Flagged: {counted}; uncertain: a misfit, a statistical error above {LARGEST_GOOD_ERROR:.0%}, or another "
+        "antenna with a probability above 1 % by these data moves C by more."
     )
     return (
         f"chi2/dof tests the chain along frequency: 1.0 ± {sigma:.1f} ({dof} degrees of freedom) if nothing but noise "

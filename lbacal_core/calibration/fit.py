@@ -57,11 +57,9 @@ from lbacal_core.curves.curves import (
     MISFIT,
     NOT_CONVERGED,
     NOT_IDENTIFIABLE,
-    OK,
     OUTSIDE,
     TOO_FEW_EVENTS,
     TOO_FEW_LST_BINS,
-    UNCERTAIN,
     Anomaly,
     CalibrationCurve,
     FitReport,
@@ -248,8 +246,6 @@ def _fit_paths(
         # ln C = -ln(s) / 2 + const
         relative_error = np.sqrt(variance[:, :channels]) / (2.0 * solution.x)
     flag = flag_channels(np.where(c > 0, relative_error, np.nan), lines.levels.radiometer[at], is_free)
-    if paths.fits is not None:  # more than one level may have been recorded
-        flag[~paths.fits.is_steady[at, None] & (flag == OK)] = UNCERTAIN
     has_value = flag != OUTSIDE
     is_usable = has_value.mean(axis=1) >= SMALLEST_BAND
     is_fitted = status[at] == CONVERGED

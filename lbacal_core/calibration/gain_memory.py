@@ -22,8 +22,8 @@ CELLS = 8192
 """Cells of time: an hour of a year, half a minute of three days. Sums over pairs of events are convolutions of them."""
 LAGS = CELLS // 3
 """Pairs further apart tell more of the mean of the window, which was taken off, than of memory."""
-LENGTHS = np.geomspace(4.0, LAGS, 24)
-"""L that are tried, in cells."""
+TRIED = 24
+"""L that are tried, up to a sidereal day: what lasts longer is a step or a drift, over which the sky comes round."""
 HAS_MEMORY = 5.0
 """Standard deviations beyond which neighbours are alike: by chance one of 3 million series."""
 
@@ -45,6 +45,8 @@ def find_variance_along(amount: Floats, course: Floats, time_unix: Floats) -> Fl
     cells = np.minimum(since / max(since[-1], 1.0) * CELLS, CELLS - 1.0).astype(int)
     waves = harmonics_at(time_unix[order] / SIDEREAL_DAY_S * DAY_HOURS % DAY_HOURS, SKY_HARMONICS)
     amount, course = amount[:, order], course[order]
+    longest = np.clip(SIDEREAL_DAY_S / max(since[-1], 1.0) * CELLS, 4.0, LAGS)
+    lasting = np.exp(-np.arange(LAGS) / np.geomspace(4.0, longest, TRIED)[:, None])
     found = np.zeros(len(amount))
     for k in np.flatnonzero(_has_memory(amount)).tolist():
         here = np.flatnonzero(np.isfinite(amount[k]))
@@ -53,10 +55,11 @@ def find_variance_along(amount: Floats, course: Floats, time_unix: Floats) -> Fl
         if not _has_memory(y):
             continue
         pairs, alike, alike_in_x = (_sum_pairs(one, cell) for one in (np.ones(here.size), y / y.std(), x))
-        lasting = np.exp(-np.arange(LAGS) / LENGTHS[:, None])
         norm = np.maximum(lasting**2 @ pairs, 1.0)
         size = np.maximum(lasting @ alike / norm, 0.0)
         best = int(np.argmax(size**2 * norm))
+        if best == TRIED - 1 and longest < LAGS:
+            continue
         found[k] = max(2.0 * size[best] * (lasting[best] @ alike_in_x), 0.0) / (x @ x) ** 2
     return found
 

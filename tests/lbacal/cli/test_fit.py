@@ -284,18 +284,6 @@ def test_c_over_h_is_the_same_with_another_g_ant(folder: Path, lbacal: Lbacal) -
         np.testing.assert_allclose(other["c_over_h"], one["c_over_h"], rtol=1e-9)
 
 
-def test_a_path_of_which_a_quarter_was_recorded_at_another_level_has_no_good_channel(
-    folder: Path, lbacal: Lbacal
-) -> None:
-    spectra = read_spectra(folder / "spectra.h5")
-    late = (spectra.antenna == 0) & (spectra.dipole == "X") & (spectra.time_unix > np.quantile(spectra.time_unix, 0.75))
-    write_spectra(replace(spectra, power=np.where(late[:, None], 2.2, 1.0) * spectra.power), folder / "spectra.h5")
-    lbacal(*FIT)
-    curves = json.loads((folder / "fit.json").read_text())["curves"]
-    good = {(one["antenna"], one["dipole"]): one["flag"].count("ok") for one in curves}
-    assert good == {(0, "X"): 0, (0, "Y"): 51, (1, "X"): 51, (1, "Y"): 51}
-
-
 def test_a_path_that_does_not_follow_the_sky_has_no_curve_and_a_reason(folder: Path, lbacal: Lbacal) -> None:
     spectra = read_spectra(folder / "spectra.h5")
     dead = spectra.antenna == 0

@@ -278,7 +278,7 @@ def test_templates_of_several_draws_are_weighed_as_those_of_each_alone(fitted, w
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("seed", [41, 65])
+@pytest.mark.parametrize("seed", [53, 65])
 def test_a_step_is_not_four_errors_low_where_noise_is_hardly_told_apart(seed):
     """Of 0.1 were found 0.034 +- 0.006, because the noise in front of the receiver was taken for ten times too much."""
     row = investigate_drawn(seed)
