@@ -3,7 +3,7 @@
 Lines take the gains of events for independent. Where neighbours are alike (weather, read-out), some days do not average
 what they share over the hours in which the sky rises. With the covariance m exp(-|dt| / L) of unit amounts beside that
 of independent ones, the coefficient of the sky's course x gets x M x / (x x)^2 more of variance (least squares with the
-weights of independent errors; Greene 2012, Econometric Analysis, 20.2). The level of a window is the mean of its
+weights of independent errors; Newey and West 1987, Econometrica 55, 703). The level of a window is the mean of its
 gains, however long these last.
 """
 
@@ -52,7 +52,7 @@ def find_variance_along(amount: Floats, course: Floats, time_unix: Floats) -> Fl
         here = np.flatnonzero(np.isfinite(amount[k]))
         x, y, own, cell = course[here] - course[here].mean(), amount[k, here], waves[here], cells[here]
         y = y - own @ fit_least_squares(own, y)
-        if not _has_memory(y):
+        if not (np.any(x) and _has_memory(y)):
             continue
         pairs, alike, alike_in_x = (_sum_pairs(one, cell) for one in (np.ones(here.size), y / y.std(), x))
         norm = np.maximum(lasting**2 @ pairs, 1.0)

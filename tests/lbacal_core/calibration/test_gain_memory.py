@@ -53,6 +53,9 @@ def test_independent_amounts_and_waves_of_lst_have_no_memory() -> None:
     amount = rng.normal(size=(200, 400))
     assert not find_variance_along(amount, rise(time), time).any()
     assert not find_variance_along(amount + 3.0 * rise(time) ** 2, rise(time), time).any()
+    lasting = draw_lasting(rng, time, 3.0, 5)
+    assert find_variance_along(lasting, rise(time), time).all()
+    assert not find_variance_along(lasting, np.ones(400), time).any(), "a sky that does not vary has no slope"
     amount[:, 7:] = np.nan
     assert not find_variance_along(amount, rise(time), time).any(), "seven events are none to tell from"
 
