@@ -1,4 +1,4 @@
-"""One chain through the years: the lines of a path in several windows, fitted together while its hardware is the same.
+"""One chain through the years: the lines of a path in several windows, fitted together.
 
 A window by itself knows the share of the electronic noise in its power to one or two percent, and the level of the
 power to 0.2 %. While the hardware is the same, the noise constants and the shape of A(nu) are the same in all windows;
@@ -9,7 +9,8 @@ what differs is a gain in front of N_RCU, with a tilt and a curvature along freq
 where s is that of the window itself. With g_k integrated out, the lines of another window are a measurement of (s, b)
 with the covariance C_k + D_k T D_k^T, D_k the derivative of its lines by g_k. Such measurements add, and the chain is
 solved once, for their sum. All is linear but exp(phi g_k), and repeated from the g_k that were found. T is wide: levels
-are known so well that a closer one does not change C of steady years (docs/decisions/years.md).
+are known so well that a closer one does not change C of steady years (docs/decisions/years.md). Where something
+changed between, each noise constant is another by a factor of its own, with a prior, and the gain has a wider one.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from lbacal_core.calibration.separable import SeparableSolution
 from lbacal_core.calibration.singles import MIN_EVENTS
 from lbacal_core.curves.curves import Repeated
 from lbacal_core.curves.kept_lines import KeptLines, MemberLines, Owner
+from lbacal_core.data.tables import read_prior
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.chain import Intercepts
 from lbacal_core.linear import invert_symmetric, solve_symmetric
@@ -38,6 +40,8 @@ MOST_ROUNDS, SMALLEST_STEP = 12, 1e-4
 GAIN_SIGMAS, OTHER_SIGMAS = (0.3, 0.03, 0.03), (1.0, 0.5, 0.1)
 """Standard deviations of ln of the gain between two windows, and of its tilt and curvature at the band's end; where the
 hardware is another, which may have a cable that nobody entered (80 m in place of 50 m: -0.76, -0.18, 0.01)."""
+OTHER_NOISE = read_prior()["other_noise"].size
+"""Standard deviation of ln of each noise constant where the hardware is another."""
 FARTHEST = 5.0
 """Standard deviations beyond which a gain is no gain: a path that is dead in one of two windows (1e-4 of the power)."""
 
@@ -51,8 +55,7 @@ class Beside:
     lines
         The lines of some paths of one polarisation, or of a mean.
     is_same
-        Whether a path had the same hardware then, shape (path,). Where it had not, its lines count for a window that is
-        too small for a fit, and for no other.
+        Whether a path had the same hardware then, shape (path,).
     """
 
     lines: KeptLines
@@ -102,33 +105,43 @@ def solve_together(
     loss
         L_coax of each path in the window, shape (path, freq).
     beside
-        The other windows. They are left out of paths that do not repeat, beyond chance.
+        The other windows. Of paths that do not repeat, beyond chance, those with the same hardware count, or none.
     alone, is_free
         The solution by the window alone; of paths that are too small for one, that of the window that lends to them.
     is_small
         Which paths are too small: the lines of all windows count for them, whatever changed between.
     """
     windows, chi2_per_dof = np.ones(len(owners), dtype=np.int64), np.full(len(owners), np.nan)
-    others = [_line_up(one, owners, loss, is_small) for one in beside]
-    count = np.sum([one.has_lines for one in others], axis=0, dtype=np.int64) * np.ones_like(windows)
-    at = np.flatnonzero(count)
-    if at.size == 0:
-        return Together(alone, is_free, windows, chi2_per_dof)
-    others = [one.take(at) for one in others if np.any(one.has_lines)]
-    solution, free, chi2, is_settled = _solve(
-        lines.select(at), others, alone.take(at), terms, gain_modes(frequency_mhz)
-    )
-    dof = count[at] * (lines.information.shape[1] - len(GAIN_SIGMAS))
-    # what a small window borrows is never quite its own: where that shows, its error grows with it
-    excess = np.where(is_small[at], np.maximum(chi2 / dof, 1.0), 1.0)
-    solution = replace(solution, covariance=solution.covariance * excess[:, None, None])
-    is_joined = is_settled & solution.is_converged & solution.is_identifiable
-    is_joined &= is_small[at] | ~is_improbable(chi2, dof)
-    chi2_per_dof[at] = chi2 / dof
-    at, is_free = at[is_joined], is_free.copy()
-    windows[at] += count[at]
-    is_free[at] = free[is_joined]
-    return Together(alone.exchange(at, solution.take(is_joined)), is_free, windows, chi2_per_dof)
+    joined, is_free, shapes = alone, is_free.copy(), gain_modes(frequency_mhz)
+    every = [_line_up(one, owners, loss) for one in beside]
+    same = [one.keep_same() for one in every]
+    is_parted = _count(every, len(owners)) > _count(same, len(owners))
+    for counted, is_asked in ((every, np.ones_like(is_parted)), (same, is_parted)):
+        count = _count(counted, len(owners))
+        at = np.flatnonzero(is_asked & (count > 0) & (windows == 1))
+        if at.size == 0:
+            continue
+        others = [one.take(at) for one in counted if np.any(one.has_lines[at])]
+        solution, free, chi2, is_settled = _solve(lines.select(at), others, alone.take(at), terms, shapes)
+        dof = count[at] * (lines.information.shape[1] - len(GAIN_SIGMAS))
+        # what a small window borrows is never quite its own: where that shows, its error grows with it
+        excess = np.where(is_small[at], np.maximum(chi2 / dof, 1.0), 1.0)
+        solution = replace(solution, covariance=solution.covariance * excess[:, None, None])
+        is_joined = is_settled & solution.is_converged & solution.is_identifiable
+        is_joined &= is_small[at] | ~is_improbable(chi2, dof)
+        # that windows differ where something changed is no news
+        is_news = ~is_parted[at] | (counted is same)
+        chi2_per_dof[at] = np.where(is_joined | is_news, chi2 / dof, np.nan)
+        at = at[is_joined]
+        windows[at] += count[at]
+        is_free[at] = free[is_joined]
+        joined = joined.exchange(at, solution.take(is_joined))
+    return Together(joined, is_free, windows, chi2_per_dof)
+
+
+def _count(others: Sequence[_Other], paths: int) -> NDArray[np.int64]:
+    """How many windows have lines of each path, shape (path,)."""
+    return np.sum([one.has_lines for one in others], axis=0, dtype=np.int64) * np.ones(paths, dtype=np.int64)
 
 
 def _solve(
@@ -136,7 +149,7 @@ def _solve(
 ) -> tuple[SeparableSolution, Booleans, Floats, NDArray[np.bool_]]:
     """The solution, which intercepts are free, chi^2 of all lines against one a channel, and whether gains settle."""
     own = np.concatenate([lines.slope, lines.intercept], axis=1)
-    gains = [np.zeros((len(own), len(shapes))) for _ in others]
+    gains = [np.zeros_like(one.sigmas) for one in others]
     limits = [FARTHEST * one.sigmas for one in others]
     for _ in range(MOST_ROUNDS):
         parts = [_integrate(one, gain, solution, terms, shapes) for one, gain in zip(others, gains, strict=True)]
@@ -218,14 +231,23 @@ def gain_modes(frequency_mhz: Floats) -> Floats:
 class _Other:
     """The lines of another window on the paths of this one; no information where there are none.
 
-    Shapes (path, 2 freq), (path, 2 freq, 2 freq), (path, freq) and (path, shape): `cable` is the loss of then over that
-    of now, `sigmas` are those of the gain between them.
+    Shapes (path, 2 freq), (path, 2 freq, 2 freq), (path, freq) and (path,): `cable` is the loss of then over that of
+    now, `is_same` whether nothing changed between.
     """
 
     measured: Floats
     information: Floats
     cable: Floats
-    sigmas: Floats
+    is_same: NDArray[np.bool_]
+
+    @property
+    def sigmas(self) -> Floats:
+        """Those of the gain between the windows, shape (path, shape)."""
+        return np.where(self.is_same[:, None], GAIN_SIGMAS, OTHER_SIGMAS)
+
+    def keep_same(self) -> _Other:
+        """Without the lines that a change parts from this window."""
+        return replace(self, information=self.information * self.is_same[:, None, None])
 
     @property
     def has_lines(self) -> NDArray[np.bool_]:
@@ -235,20 +257,20 @@ class _Other:
         return _Other(*(values[at] for values in vars(self).values()))
 
 
-def _line_up(one: Beside, owners: Sequence[Owner], loss: Floats, is_small: NDArray[np.bool_]) -> _Other:
+def _line_up(one: Beside, owners: Sequence[Owner], loss: Floats) -> _Other:
     """The lines of another window that count, in the order of the owners."""
     kept, (paths, channels) = one.lines, loss.shape
     place = {owner: k for k, owner in enumerate(kept.owners) if kept.is_good[k]}
-    at = [k for k, owner in enumerate(owners) if owner in place and (is_small[k] or one.is_same[place[owner]])]
+    at = [k for k, owner in enumerate(owners) if owner in place]
     of = [place[owners[k]] for k in at]
     found = _Other(
         np.zeros((paths, 2 * channels)), np.zeros((paths, 2 * channels, 2 * channels)), np.ones_like(loss),
-        np.ones((paths, len(GAIN_SIGMAS))),
+        np.ones(paths, dtype=bool),
     )  # fmt: skip
     found.measured[at] = np.concatenate([kept.slope[of], kept.intercept[of]], axis=1)
     found.information[at] = kept.information[of]
     found.cable[at] = kept.loss[of] / loss[at]
-    found.sigmas[at] = np.where(one.is_same[of, None], GAIN_SIGMAS, OTHER_SIGMAS)
+    found.is_same[at] = one.is_same[of]
     return found
 
 
@@ -275,11 +297,17 @@ def _integrate(
     moved = solution.x[:, :, None] * shapes.T
     derivative = np.concatenate([moved, terms.before(solution.n)[:, :, None] * moved], axis=1)
     measured = (other.measured - behind) / both + np.einsum("pim,pm->pi", derivative, gain)
+    front, back = solution.n[:, :, None] * terms.front * solution.x[:, None], solution.q[:, :, None] * terms.behind
+    noise = np.concatenate([front, back / factor[:, None]], axis=1).transpose(0, 2, 1)
+    noise = np.concatenate([np.zeros_like(noise), noise], axis=1)
+    # in units of their standard deviations, of which that of what is the same is 0
+    of_noise = noise * (OTHER_NOISE * ~other.is_same[:, None, None])
+    derivative = np.concatenate([derivative * other.sigmas[:, None], of_noise], axis=2)
     weighted = information @ derivative
-    prior = other.sigmas[:, :, None] ** -2.0 * np.eye(len(shapes))
-    left = invert_symmetric(prior + derivative.transpose(0, 2, 1) @ weighted)
+    left = invert_symmetric(np.eye(derivative.shape[2]) + derivative.transpose(0, 2, 1) @ weighted)
     along = left @ weighted.transpose(0, 2, 1)
-    return _Measurement(measured, information - weighted @ along, along)
+    of_gain = other.sigmas[:, :, None] * along[:, : len(shapes)]
+    return _Measurement(measured, information - weighted @ along, of_gain)
 
 
 # A window too small for a fit: its lines have the noise levels of the nearest window that has a curve.
@@ -337,7 +365,7 @@ def lend(
         # what a window has borrowed it lends to nobody: C would depend on which of two small windows was fitted first
         own = {one.lines.owners[k] for k in np.flatnonzero(one.lines.events >= MIN_EVENTS).tolist()}
         has_own = np.array([owner in own for owner in paths.owners])
-        at = np.flatnonzero(lacks & has_own & _line_up(one, paths.owners, loss, lacks).has_lines)
+        at = np.flatnonzero(lacks & has_own & _line_up(one, paths.owners, loss).has_lines)
         if at.size:
             lacks[at] = False
             of = np.array([list(one.lines.owners).index(paths.owners[k]) for k in at])

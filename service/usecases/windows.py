@@ -70,25 +70,22 @@ def name_beside(
 ) -> dict[str, str]:
     """Name the windows that a version was fitted together with."""
     repeated = {curve.path: curve.repeated.windows for curve in curves if curve.repeated}
-    same = Counter(owner for _, of in beside for k, owner in enumerate(of.lines.owners) if _lends(of, k))
-    # more windows than have the same hardware: the path is too small for a fit, and all lend to it
-    small = [owner for owner, windows in repeated.items() if windows > 1 + same[owner]]
-    return {BESIDE: name_windows(scope, beside, small)} if repeated else {}
+    same = Counter(
+        owner for _, of in beside for k, owner in enumerate(of.lines.owners) if of.lines.is_good[k] and of.is_same[k]
+    )
+    apart = [owner for owner, windows in repeated.items() if windows <= 1 + same[owner]]
+    return {BESIDE: name_windows(scope, beside, apart)} if repeated else {}
 
 
-def name_windows(scope: Scope, beside: Sequence[tuple[KeptPiece, Beside]], small: Collection[Owner] = ()) -> str:
-    """The hash of the spectra of a scope in the windows that lend to it; small paths borrow over changes too."""
+def name_windows(scope: Scope, beside: Sequence[tuple[KeptPiece, Beside]], apart: Collection[Owner] = ()) -> str:
+    """The hash of a scope's spectra in the windows that lend to it; to owners `apart` those of the same hardware."""
     named = sorted(
         [one.since, one.until, str(of.lines.spectra[k]), *([] if of.is_same[k] else [APART])]
         for one, of in beside
         for k, owner in enumerate(of.lines.owners)
-        if scope == scope_of(owner) and _lends(of, k, is_small=owner in small)
+        if scope == scope_of(owner) and of.lines.is_good[k] and (of.is_same[k] or owner not in apart)
     )
     return hash_content([*named, AWAY] if scope.antenna is None and named else named)
-
-
-def _lends(of: Beside, k: int, *, is_small: bool = False) -> bool:
-    return bool(of.lines.is_good[k] and (of.is_same[k] or is_small))
 
 
 def scope_of(owner: Owner) -> Scope:

@@ -6,7 +6,7 @@ from scipy.optimize import least_squares
 
 from lbacal_core.calibration.continued import continue_fit
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.calibration.years import GAIN_SIGMAS, Beside, gain_modes, weigh_by_members
+from lbacal_core.calibration.years import GAIN_SIGMAS, OTHER_NOISE, OTHER_SIGMAS, Beside, gain_modes, weigh_by_members
 from lbacal_core.curves.kept_lines import KeptLines, MemberLines, join_away, read_lines, write_lines
 
 YEARS = 3
@@ -47,13 +47,15 @@ def true_c(scene, curve):
     return np.sqrt(scene.instrument.antenna_gain / scene.slope(cable))
 
 
-def test_one_chain_through_the_years_is_that_of_all_their_lines_with_a_gain_for_each(scene, years, alone):
-    """The slow way: every unknown of the lines at once, s, constants and three gains a year, by Gauss-Newton."""
-    report = fit_calibration(years[0], scene.simulation, "antenna", beside(alone["antenna"], 0))
+@pytest.mark.parametrize("is_same", [True, False], ids=["same hardware", "other hardware"])
+def test_one_chain_through_the_years_is_that_of_all_their_lines_with_a_gain_for_each(scene, years, alone, is_same):
+    """The slow way: all unknowns of the lines at once, s, constants, gains and, over a change, noise of each year."""
+    report = fit_calibration(years[0], scene.simulation, "antenna", beside(alone["antenna"], 0, is_same=is_same))
     curve = next(one for one in report.curves if one.dipole == "X")
     terms, shapes = scene.simulation.noise, gain_modes(scene.instrument.frequency_mhz)
     lines = [next(one for one in year.lines if one.owners[0][2] == "X") for year in alone["antenna"]]
-    channels, count = shapes.shape[1], len(GAIN_SIGMAS)
+    sigmas = GAIN_SIGMAS if is_same else (*OTHER_SIGMAS, *[OTHER_NOISE] * 3)
+    channels, count = shapes.shape[1], len(sigmas)
     measured = np.array([np.concatenate([one.slope[0], one.intercept[0]]) for one in lines])
     roots = [np.linalg.cholesky(one.information[0]).T for one in lines]
     scale = np.concatenate([measured[0][:channels], [scene.n_lna, scene.n_rcu, scene.n_adc], np.ones(2 * count)])
@@ -64,9 +66,10 @@ def test_one_chain_through_the_years_is_that_of_all_their_lines_with_a_gain_for_
         gains = np.concatenate([np.zeros((1, count)), value[channels + 3 :].reshape(2, count)])
         found = []
         for k in range(YEARS):
-            slope = x * np.exp(gains[k] @ shapes)
-            found.append(roots[k] @ (measured[k] - np.concatenate([slope, terms.before(n) * slope + q @ terms.behind])))
-        return np.concatenate([*found, (gains[1:] / GAIN_SIGMAS).ravel()])
+            slope, noise = x * np.exp(gains[k, :3] @ shapes), np.zeros(3) if is_same else gains[k, 3:]
+            intercept = terms.before(n * (1.0 + noise[:1])) * slope + (q * (1.0 + noise[1:])) @ terms.behind
+            found.append(roots[k] @ (measured[k] - np.concatenate([slope, intercept])))
+        return np.concatenate([*found, (gains[1:] / sigmas).ravel()])
 
     start = np.concatenate([np.ones(channels + 3), np.zeros(2 * count)])
     solved = least_squares(residual, start, method="lm", xtol=1e-14, ftol=1e-14)
@@ -98,12 +101,44 @@ def test_years_of_one_chain_differ_by_their_gains_and_their_error_is_that_of_all
     assert not pulls or np.sqrt(np.mean(np.square(pulls))) < 2.0
 
 
-def test_a_path_with_other_hardware_is_fitted_by_itself(scene, years, alone):
-    alone = alone["antenna"]
-    found = fit_calibration(years[0], scene.simulation, "antenna", beside(alone, 0, is_same=False))
-    for by_itself, now in zip(alone[0].curves, found.curves, strict=True):
+def test_over_a_step_c_changes_by_the_step_though_each_side_alone_knows_it_badly(scene, years, alone):
+    """A gain of 10 % behind the amplifier, and receiver noise of another 10 %: ln C of a side alone is 2 % off."""
+    behind = scene.n_rcu * scene.instrument.receiver_gain + scene.n_adc
+    of_gain, of_noise = 1.1, 0.1 * scene.n_rcu * scene.instrument.receiver_gain
+    power = (years[1].power - behind) * of_gain + behind + of_noise
+    changed = fit_calibration(replace(years[1], power=power), scene.simulation)
+    assert {one.repeated for one in changed.curves} == {None}
+    before, after = (
+        fit_calibration(spectra, scene.simulation, "antenna", beside([None, other], 0, is_same=False))
+        for spectra, other in ((years[0], changed), (replace(years[1], power=power), alone["antenna"][0]))
+    )
+    step = -0.5 * (GAINS[1] + np.log(of_gain))
+    by_itself, together = (
+        [np.log(now.c / was.c) - step for was, now in zip(then.curves, of_now.curves, strict=True)]
+        for then, of_now in ((alone["antenna"][0], changed), (before, after))
+    )
+    assert np.std(together) < 0.6 * np.std(by_itself)
+    for then, now in zip(alone["antenna"][0].curves, before.curves, strict=True):
+        assert now.repeated.windows == 2
+        pull = np.log(now.c / true_c(scene, now)) * now.c / now.c_sigma_stat
+        assert np.sqrt(np.mean(pull**2)) < 2.0
+        assert np.mean(now.c_sigma_stat / then.c_sigma_stat) < 0.95
+
+
+def test_another_antenna_lends_nothing_and_those_of_its_year_still_do(scene, years, alone):
+    """A(nu) of another shape, 5 % along 20 MHz: no gain or noise explains it, and that hardware differs is no news."""
+    wave = 1.0 + 0.05 * np.cos(2.0 * np.pi * scene.instrument.frequency_mhz / 20.0)
+    other = fit_calibration(replace(years[1], power=years[1].power * wave), scene.simulation)
+    apart = beside([None, other], 0, is_same=False)
+    found = fit_calibration(years[0], scene.simulation, "antenna", apart)
+    for by_itself, now in zip(alone["antenna"][0].curves, found.curves, strict=True):
         assert np.array_equal(by_itself.c, now.c)
         assert now.repeated is None
+    same = beside([None, None, alone["antenna"][2]], 0)
+    of_both, of_same = (fit_calibration(years[0], scene.simulation, "antenna", of) for of in ([*apart, *same], same))
+    for expected, now in zip(of_same.curves, of_both.curves, strict=True):
+        assert np.array_equal(expected.c, now.c)
+        assert now.repeated.windows == 2
 
 
 def test_a_year_that_does_not_repeat_is_fitted_by_itself_and_says_so(scene, years, alone):
