@@ -182,6 +182,18 @@ def test_a_window_too_small_for_a_fit_has_the_chain_of_another_through_its_own_c
     assert {curve.status for curve in found.curves} == {"too_few_events"}, "4 events know no gain"
 
 
+@pytest.mark.parametrize("factor", [0.25, 2.0])
+def test_a_small_window_of_another_gain_takes_the_chain_of_others(scene, alone, factor):
+    """With twice the power the noise behind swung between two rounds for ever, and 26 events had no C."""
+    few = draw_year(scene, 1, events=30, days=20.0)
+    behind = scene.n_rcu * scene.instrument.receiver_gain + scene.n_adc
+    strong = replace(few, power=(few.power - behind) * factor + behind)
+    found = fit_calibration(strong, scene.simulation, "antenna", beside(alone["antenna"], 1, is_same=False))
+    for then, now in zip(alone["antenna"][0].curves, found.curves, strict=True):
+        assert now.status == "converged"
+        assert np.mean(np.log(now.c / then.c)) == pytest.approx(-0.5 * (GAINS[1] + np.log(factor)), abs=0.03)
+
+
 def test_a_path_that_is_dead_in_one_window_borrows_and_lends_nothing(scene, years, alone):
     """A gain of 1e-4 between two windows sent Gauss and Newton to infinity, and the whole station's refit failed."""
     few = draw_year(scene, 1, events=40, days=60.0)
