@@ -143,15 +143,29 @@ _NOTHING = 1e-12
 _SMALLEST_P = 1e-250
 
 
-def score_steps(inverse: Floats, columns: Floats, fit: Fit, whitener: Floats) -> Floats:
-    """Chi-square of a step before every month, shape (series, month); arguments as in `terms.fit_terms`."""
+def profile_steps(inverse: Floats, columns: Floats, fit: Fit) -> tuple[Floats, Floats]:
+    """Scores and information of steps before every month, shapes (mode, series, month) and (..., month, month).
+
+    What the fit describes is profiled out; arguments as in `fit_terms`.
+    """
     after = np.cumsum((inverse @ columns)[:, :, ::-1], axis=2)[:, :, ::-1]
-    sums = np.cumsum(np.cumsum(inverse[:, :, ::-1, ::-1], axis=2), axis=3)
-    information = np.diagonal(sums, axis1=2, axis2=3)[:, :, ::-1]
-    described = np.sum((after @ fit.covariance) * after, axis=-1)
+    sums = np.cumsum(np.cumsum(inverse[:, :, ::-1, ::-1], axis=2), axis=3)[:, :, ::-1, ::-1]
     score = np.cumsum(fit.weighted_residual[:, :, ::-1], axis=2)[:, :, ::-1]
-    information = np.maximum(information - described, _NOTHING)
-    return chi_square(whitener, score / information, 1.0 / information)
+    return score, sums - (after @ fit.covariance) @ np.swapaxes(after, 2, 3)
+
+
+def score_steps(score: Floats, information: Floats, whitener: Floats) -> Floats:
+    """Chi-square of a step before every month, shape (series, month); arguments of `profile_steps`."""
+    own = np.maximum(np.diagonal(information, axis1=2, axis2=3), _NOTHING)
+    return chi_square(whitener, score / own, 1.0 / own)
+
+
+def score_episodes(score: Floats, information: Floats, whitener: Floats) -> Floats:
+    """Chi-square of a step before a month that another takes back before a later one, shape (series, month, month)."""
+    own = np.diagonal(information, axis1=2, axis2=3)
+    of_both = own[..., :, None] + own[..., None, :] - information - np.swapaxes(information, 2, 3)
+    of_both = np.maximum(of_both, _NOTHING)
+    return chi_square(whitener, (score[..., :, None] - score[..., None, :]) / of_both, 1.0 / of_both)
 
 
 def score_slope(inverse: Floats, columns: Floats, fit: Fit, whitener: Floats, slope: Floats) -> Floats:
@@ -223,7 +237,13 @@ def find_dates(time_unix: Floats, residual: Floats, size: Floats, near_unix: Flo
     """
     gain = np.einsum("sek,sk->se", residual, size) - 0.5 * np.sum(size**2, axis=1)[:, None]
     width = np.diff(time_unix)
-    is_gap = (time_unix[1:] >= near_unix[:, None] - REACH_S) & (time_unix[:-1] <= near_unix[:, None] + REACH_S)
+    # where a path is silent, all of its silence is near
+    is_known, near = np.isfinite(gain), near_unix[:, None]
+    first = np.max(np.where(is_known & (time_unix <= near), time_unix, -np.inf), axis=1, initial=-np.inf)
+    last = np.min(np.where(is_known & (time_unix >= near), time_unix, np.inf), axis=1, initial=np.inf)
+    is_gap = (time_unix[1:] >= np.where(np.isfinite(first), first, near_unix)[:, None] - REACH_S) & (
+        time_unix[:-1] <= np.where(np.isfinite(last), last, near_unix)[:, None] + REACH_S
+    )
     is_gap &= width > 0
     is_near = np.pad(is_gap, ((0, 0), (0, 1))) | np.pad(is_gap, ((0, 0), (1, 0)))
     gain = np.where(is_near & np.isfinite(gain), gain, 0.0)
@@ -260,10 +280,12 @@ def widen(date: Floats, errors: Floats, begins: Floats, gain: Floats) -> Floats:
         possible is far less.
     """
     apart = begins - date[:, None]
-    far = np.where(np.abs(apart) > MONTH_S, np.exp(0.5 * np.minimum(gain, 0.0)), 0.0) * MONTH_S
-    near = np.sqrt(2.0 * np.pi) * errors[0]
-    total = near + far.sum(axis=1)
-    sigma = np.sqrt((near * errors[0] ** 2 + np.sum(far * apart**2, axis=1)) / total)
+    near = np.minimum(errors[1], date)[:, None] - MONTH_S, np.maximum(errors[2], date)[:, None] + MONTH_S
+    is_far = (begins < near[0]) | (begins > near[1])
+    far = np.where(is_far, np.exp(0.5 * np.minimum(gain, 0.0)), 0.0) * MONTH_S
+    of_events = np.sqrt(2.0 * np.pi) * errors[0]
+    total = of_events + far.sum(axis=1)
+    sigma = np.sqrt((of_events * errors[0] ** 2 + np.sum(far * apart**2, axis=1)) / total)
     before = np.cumsum(far, axis=1) / total[:, None]
     after = np.cumsum(far[:, ::-1], axis=1)[:, ::-1] / total[:, None]
     earliest = np.where(before > OUTER, begins, np.inf).min(axis=1)
@@ -600,11 +622,28 @@ class SeriesModel:
         """Chi-square of a step before every month, shape (series, month), and of a slope, shape (series,)."""
         steps, slopes = np.zeros(self.events.shape), np.zeros(self.all.size)
         for some in share_out(rows):
-            of = self.result.theta[:, some], self.result.covariance[:, some], self.result.weighted_residual[:, some]
-            known = self.inverse[:, some], self.columns(some), Fit(*of), self.whitener
-            steps[some] = np.where(self._may_step(some), score_steps(*known), 0.0)
-            slopes[some] = score_slope(*known, self.smooth_months[:, SLOPE])
+            known = self.inverse[:, some], self.columns(some), self._fit_of(some)
+            steps[some] = np.where(self._may_step(some), score_steps(*profile_steps(*known), self.whitener), 0.0)
+            slopes[some] = score_slope(*known, self.whitener, self.smooth_months[:, SLOPE])
         return steps[rows], np.where(self.terms.has_slope[rows], 0.0, slopes[rows])
+
+    def find_episodes(self) -> tuple[Floats, NDArray[np.int64], NDArray[np.int64]]:
+        """The best two steps of each series of which one takes the other back: chi-square, and before which months.
+
+        The price of the second step is taken off. Shape (series,) each.
+        """
+        best, first, last = np.zeros(self.all.size), *np.zeros((2, self.all.size), dtype=np.int64)
+        for some in share_out(self.all):
+            profiled = profile_steps(self.inverse[:, some], self.columns(some), self._fit_of(some))
+            may, before = self._may_step(some), np.cumsum(self.events[some], axis=1) - self.events[some]
+            may = may[:, :, None] & may[:, None] & (before[:, None] - before[:, :, None] >= FEWEST_EVENTS)
+            may &= (np.isinf(self.terms.dates[some]).sum(axis=1) > 1)[:, None, None]
+            chi2 = np.where(may, score_episodes(*profiled, self.whitener) - self.cut, 0.0).reshape(some.size, -1)
+            best[some], (first[some], last[some]) = chi2.max(axis=1), np.divmod(chi2.argmax(axis=1), may.shape[2])
+        return best, first, last
+
+    def _fit_of(self, rows: NDArray[np.int64]) -> Fit:
+        return Fit(*(one[:, rows] for one in vars(self.result).values()))
 
     def _may_step(self, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Where a step is possible: enough events on either side, no other step in the month, and room for it."""
@@ -637,21 +676,27 @@ class SeriesModel:
         self.errors[:, rows] = errors[:, rows]
         self.terms = replace(self.terms, dates=dates, has_slope=has_slope)
 
-    def put_steps(self, rows: NDArray[np.int64], month: NDArray[np.int64]) -> None:
-        """Give series a step before a month each, and date it from events."""
-        for some, before in zip(share_out(rows), share_out(month), strict=True):
-            step = np.argmax(np.isinf(self.terms.dates[some]), axis=1)
-            self._set_dates(some, step, self.series.time_unix[self.starts[before]])
-            for _ in range(2):
-                self.fit_terms(some)
-                size = self.result.theta[:, some, STEPS + step].T
-                near = self.terms.dates[some, step]
-                is_after = (self.series.time_unix >= near[:, None])[..., None]
-                left = self.series.values[some] - self.common[some] - self.predict(some)
-                left = left / self.scale.T[some][:, None, :] + is_after * size[:, None]
-                found = find_dates(self.series.time_unix, left @ self.whitener.T, size @ self.whitener.T, near)
-                self._set_dates(some, step, found.date)
-                self.errors[:, some, step] = found.sigma, found.earliest, found.latest
+    def put_steps(self, rows: NDArray[np.int64], *months: NDArray[np.int64]) -> None:
+        """Give series steps before some months each, and date them from events, each beside the others."""
+        for parts in zip(share_out(rows), *map(share_out, months), strict=True):
+            some, free = parts[0], list[NDArray[np.intp]]()
+            for before in parts[1:]:
+                free.append(np.argmax(np.isinf(self.terms.dates[some]), axis=1))
+                self._set_dates(some, free[-1], self.series.time_unix[self.starts[before]])
+            for step in [*free, *free]:
+                self._date(some, step)
+
+    def _date(self, some: NDArray[np.int64], step: NDArray[np.intp]) -> None:
+        """Date a step of each of some series."""
+        self.fit_terms(some)
+        size = self.result.theta[:, some, STEPS + step].T
+        near = self.terms.dates[some, step]
+        is_after = (self.series.time_unix >= near[:, None])[..., None]
+        left = self.series.values[some] - self.common[some] - self.predict(some)
+        left = left / self.scale.T[some][:, None, :] + is_after * size[:, None]
+        found = find_dates(self.series.time_unix, left @ self.whitener.T, size @ self.whitener.T, near)
+        self._set_dates(some, step, found.date)
+        self.errors[:, some, step] = found.sigma, found.earliest, found.latest
 
     def widen_dates(self) -> None:
         """Add to the errors of dates that a step in another month, with a size of its own, explains about as much."""

@@ -1,13 +1,13 @@
 """Which slopes and steps the series of one kind have: added one by one, the most significant first.
 
 A series is a path against the median of the others of its group, or a group against that of the other groups. A round
-removes the medians, averages months, fits all series, and scores a slope and a step at every month in each of them,
-everything that the fit describes profiled out. What passes the threshold enters the model; a step gets its date from
-events; what is no longer significant beside the rest leaves, and each term may give its place to a better one: the
-first step that is added to a path with several is a compromise between them, and its date is that of medians in which
-others still stepped. Medians are taken again of what the model leaves, so that a step of one path in a small group does
-not appear in the others; for the same reason a round adds nothing that the best of its group could cause. A step has a
-date to choose, a slope has none: one is preferred to the other by the mean over the dates.
+removes the medians, averages months, fits all series, and scores a slope, a step at every month, and one that another
+takes back, in each, everything that the fit describes profiled out. What passes the threshold enters the model; a step
+gets its date from events; what is no longer significant beside the rest leaves, and each term may give its place to a
+better one: the first step that is added to a path with several is a compromise between them, and its date is that of
+medians in which others still stepped. Medians are taken again of what the model leaves, so that a step of one path in a
+small group does not appear in the others; for the same reason a round adds nothing that the best of its group could
+cause. A step has a date to choose, a slope has none: one is preferred to the other by the mean over the dates.
 
 A score is the sum of squares of the scores of the modes, made uncorrelated: chi-square with one degree a mode. The
 threshold is that of the number of series times months, so that `FALSE_ALARMS` are expected in all of them together.
@@ -175,22 +175,32 @@ class _Search(SeriesModel):
 
     def _add(self) -> bool:
         steps, slopes = self.scores(self.all)
-        best = np.argmax(steps, axis=1)
-        of_best = steps[self.all, best]
-        top = np.maximum(of_best, slopes)
+        best, group = np.argmax(steps, axis=1), self.series.group
+        of_episode, first, last = self.find_episodes()
+        of_one = np.maximum(steps[self.all, best], slopes)
+        # where one term is the best of a group, medians may hold two steps of others
+        is_episode = (of_episode > of_one) & (self._of_group(of_episode) > self._of_group(of_one))[group]
+        top = np.where(is_episode, of_episode, of_one)
         size = top * self.scale[0] ** 2  # what a series does not describe yet is in its noise
-        of_group = np.zeros(len(self.median))
-        np.maximum.at(of_group, self.series.group, size)
-        is_alike = (top > self.cut) & (size >= ALIKE * of_group[self.series.group])
-        alike = np.bincount(self.series.group, weights=is_alike, minlength=len(self.median))
+        of_group = self._of_group(size)
+        is_alike = (top > self.cut) & (size >= ALIKE * of_group[group])
+        alike = np.bincount(group, weights=is_alike, minlength=len(self.median))
         share = np.minimum(self.leakage * alike, MOST_LEAKAGE) ** 2
-        is_added = (top > self.cut) & (size >= (share * of_group)[self.series.group])
+        is_added = (top > self.cut) & (size >= (share * of_group)[group])
         values = self.is_known.sum(axis=1) * len(self.scale)
-        gets_slope = is_added & (free_noise(slopes, values) >= over_dates(free_noise(steps, values[:, None])))
+        of_slope, of_step = free_noise(slopes, values), over_dates(free_noise(steps, values[:, None]))
+        gets_slope = is_added & ~is_episode & (of_slope >= of_step)
         self.terms = replace(self.terms, has_slope=self.terms.has_slope | gets_slope)
-        rows = np.flatnonzero(is_added & ~gets_slope)
+        rows, two = np.flatnonzero(is_added & ~gets_slope & ~is_episode), np.flatnonzero(is_added & is_episode)
         self.put_steps(rows, best[rows])
+        self.put_steps(two, first[two], last[two])
         return self._renew(is_added)
+
+    def _of_group(self, values: Floats) -> Floats:
+        """The largest of each group, shape (group,)."""
+        found = np.zeros(len(self.median))
+        np.maximum.at(found, self.series.group, values)
+        return found
 
     def _exchange(self) -> bool:
         """Take out each term of a series in turn, and put in its place what explains more, if any does."""

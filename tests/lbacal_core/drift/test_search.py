@@ -59,6 +59,33 @@ def test_several_steps_of_one_path_are_found_with_their_dates():
     assert not np.any(np.isfinite(np.delete(found.terms.dates, 5, axis=0)))
 
 
+@pytest.mark.parametrize(("days", "size", "series"), [(20, -0.35, 4), (30, 0.18, 8), (45, 0.18, 24), (90, 0.08, 24)])
+def test_a_gain_that_fails_and_is_repaired_is_two_steps(days, size, series):
+    """No step alone explained a month of twice the power: C was 30 % off in it, and off in the rest of the year."""
+    drawn = _draw(np.random.default_rng(days), series=series, years=3)
+    planted = 1.3 * YEAR_S + np.array([0.0, days * DAY])
+    drawn.values[1, (drawn.time_unix >= planted[0]) & (drawn.time_unix < planted[1]), 0] += size
+    found = search_series(drawn)
+    assert _dates(found, 1) == pytest.approx(planted, abs=3 * DAY)
+    order = np.argsort(found.terms.dates[1])[:2]
+    assert found.step_size[1, order, 0] == pytest.approx([size, -size], abs=0.02)
+    assert not np.any(np.isfinite(np.delete(found.terms.dates, 1, axis=0)))
+    assert found.slope_significance.max() < found.threshold
+
+
+def test_a_step_in_ten_months_of_silence_has_a_date_as_uncertain_as_they_are_long():
+    """It was dated by the two months beside the first, and 140 days wide: more than what cuts a window."""
+    drawn = _draw(np.random.default_rng(3), series=8, years=4)
+    away = YEAR_S * np.array([1.4, 2.2])
+    drawn.values[1, (drawn.time_unix >= away[0]) & (drawn.time_unix < away[1])] = np.nan
+    drawn.values[1, drawn.time_unix >= away[1], 0] += 0.15
+    found = search_series(drawn)
+    assert _dates(found, 1) == pytest.approx([away.mean()], abs=3 * DAY)
+    assert found.step_sigma_s[1, 0] == pytest.approx(np.ptp(away) / 12**0.5, rel=0.05)
+    assert found.step_earliest[1, 0] == pytest.approx(away[0], abs=10 * DAY)
+    assert found.step_latest[1, 0] == pytest.approx(away[1], abs=10 * DAY)
+
+
 def test_a_step_that_settled_medians_left_below_the_threshold_was_told():
     series = _draw(np.random.default_rng(29), series=8, years=2)
     for path, size in ((1, 0.08), (2, 0.0085), (3, -0.0085), (4, 0.009)):

@@ -16,6 +16,8 @@ from lbacal_core.drift.model import (
     fit_terms,
     invert_covariance,
     month_columns,
+    profile_steps,
+    score_episodes,
     score_slope,
     score_steps,
     smooth_columns,
@@ -128,10 +130,14 @@ def _oracle(y: np.ndarray, inverse: np.ndarray, columns: np.ndarray, column: np.
 
 def test_a_score_is_what_a_fit_with_the_step_would_give():
     y, inverse, columns = _case()
-    scores = score_steps(inverse, columns, fit_terms(y, inverse, columns, SCALE), np.eye(1))
-    for month in (1, 7, 20, 35):
-        step = (np.arange(THREE_YEARS) >= month).astype(float)
+    profiled = profile_steps(inverse, columns, fit_terms(y, inverse, columns, SCALE))
+    scores, episodes = score_steps(*profiled, np.eye(1)), score_episodes(*profiled, np.eye(1))
+    number = np.arange(THREE_YEARS)
+    for month, end in ((1, 3), (7, 8), (20, 33), (34, 35)):
+        step = (number >= month).astype(float)
         assert scores[:, month] == pytest.approx(_oracle(y, inverse, columns, step), rel=1e-4)
+        episode = ((number >= month) & (number < end)).astype(float)
+        assert episodes[:, month, end] == pytest.approx(_oracle(y, inverse, columns, episode), rel=1e-4)
 
 
 def test_the_score_of_a_slope_is_what_a_fit_with_it_would_give():
