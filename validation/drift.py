@@ -5,7 +5,7 @@ at growing data, from the second month to the end, as nights do: whatever any lo
 plants steps of 3 % and 1 %, and a ladder of smaller ones that measures the size found in 90 %, at any date but the
 first and last ten events of the path. `slopes` gives paths 1 % a year against their stations, and looks after three
 years. `stations` plants one step that a station's paths share, and one of four paths. `whole` gives everything a trend
-and compares it with the one told.
+and compares it with the one told. `repairs` lets the gain of a path fail for weeks.
 """
 
 from __future__ import annotations
@@ -34,6 +34,11 @@ SAME_STEP = 45 * DAY
 """A step found farther from a planted one than this is another one."""
 SMALL_WORLD = replace(WORLD, stations=3, antennas=4, events_per_year=300)
 TREND = 0.02
+ANTENNAS, FAILS_DAYS, FAILS_BY = (4, 8, 16), (15.0, 120.0), (0.05, 0.5)
+"""Antennas of a station, for how long a gain fails, and by how much ln C changes."""
+SAME_REPAIR, FEWEST_OF_REPAIR = 10 * DAY, 12
+"""Farthest that a date lies outside the interval told, and events of the path while it fails: with fewer, spectra are
+anomalous."""
 EDGE_EVENTS = 12
 
 
@@ -221,10 +226,42 @@ def judge_whole(rows: Sequence[Row]) -> list[Found]:
     return [*claims, mean_of("sigma", np.array([row["steps"]["sigma"] for row in rows]), "%")]
 
 
+def repair(world: World, seed: int) -> Row:
+    """Let the gain of a path fail and be repaired weeks later."""
+    rng = np.random.default_rng([15, 6, seed])
+    history = draw_history(replace(world, antennas=int(rng.choice(ANTENNAS))), rng)
+    path, days = int(rng.integers(len(history.antenna))), np.exp(rng.uniform(*np.log(FAILS_DAYS)))
+    size = float(rng.choice([-1.0, 1.0]) * np.exp(rng.uniform(*np.log(FAILS_BY))))
+    own = history.time_unix[np.isfinite(history.ln_c[path, :, 0])]
+    begins = float(rng.uniform(own[EDGE_EVENTS], own[-EDGE_EVENTS] - days * DAY))
+    dates = np.array([begins, begins + days * DAY])
+    during = int(np.sum((own >= dates[0]) & (own < dates[1])))
+    for date, change in zip(dates, (size, -size), strict=True):
+        _step(history, np.array([path]), date, change)
+    found = follow(history).paths
+    order = np.argsort(found.terms.dates[path])[: np.isfinite(found.terms.dates[path]).sum()]
+    told, limits = found.terms.dates[path, order], np.stack([found.step_earliest, found.step_latest])[:, path, order]
+    others = np.any(np.isfinite(np.delete(found.terms.dates, path, axis=0)), axis=1)
+    return {
+        "size": size, "days": float(days), "antennas": int(history.antenna.max()) + 1, "events": during,
+        "told": (told / DAY).tolist(), "planted": (dates / DAY).tolist(), "others": float(np.mean(others)),
+        "found": told.size == 2 and bool(np.all((limits[0] <= dates + SAME_REPAIR) & (dates - SAME_REPAIR <= limits[1]))),
+    }  # fmt: skip
+
+
+def judge_repairs(rows: Sequence[Row]) -> list[Found]:
+    seen = [row for row in rows if row["events"] >= FEWEST_OF_REPAIR]
+    return [
+        rate_of("found", sum(row["found"] for row in seen), len(seen)),
+        mean_of("others", np.array([row["others"] for row in rows]), "%"),
+    ]
+
+
 PARTS = (
     Part("nothing", partial(look, WORLD, looks=LOOKS_YEARS), judge_looks, 12),
     Part("steps", partial(plant_steps, WORLD), judge_steps, 24, headlines=("found",)),
     Part("slopes", partial(plant_slopes, replace(WORLD, years=3.0)), judge_slopes, 8),
     Part("stations", partial(plant_in_stations, WORLD), judge_stations, 120),
     Part("whole", partial(age, SMALL_WORLD), judge_whole, 400),
+    Part("repairs", partial(repair, replace(SMALL_WORLD, years=3.0)), judge_repairs, 400),
 )

@@ -98,14 +98,14 @@ def solve_together(
     is_free: Booleans,
     is_small: NDArray[np.bool_],
 ) -> Together:
-    """Fit the chain to the lines of some paths in a window, with those that they have in other windows.
+    """Fit the chain to the lines of some paths in a window and in others.
 
     Parameters
     ----------
     loss
         L_coax of each path in the window, shape (path, freq).
     beside
-        The other windows. Of paths that do not repeat, beyond chance, those with the same hardware count, or none.
+        The other windows. Where a path does not repeat, beyond chance, the ones with its hardware count, or none.
     alone, is_free
         The solution by the window alone; of paths that are too small for one, that of the window that lends to them.
     is_small
@@ -250,7 +250,7 @@ class _Other:
 
     @property
     def sigmas(self) -> Floats:
-        """Those of the gain between the windows, shape (path, shape)."""
+        """Standard deviations of the gain between the windows, shape (path, shape)."""
         return np.where(self.is_same[:, None], GAIN_SIGMAS, OTHER_SIGMAS)
 
     def keep_same(self) -> _Other:
