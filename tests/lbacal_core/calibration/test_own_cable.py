@@ -67,8 +67,8 @@ def test_the_error_told_holds_offset_and_spread_of_its_cable(answer):
     curve, chain = answer
     assert chain.spreads.by_cable == {}, "two paths a cable"
     served = carry_to_path(curve, chain, "CS002", 0, "X", AT)
-    spread = chain.spreads.all_paths
-    np.testing.assert_allclose(served.curve.c_sigma_sys / served.curve.c, np.hypot(spread.offset, spread.spread) / 2)
+    variance = chain.spreads.all_paths.variance
+    np.testing.assert_allclose(served.curve.c_sigma_sys / served.curve.c, np.sqrt(variance) / 2)
     assert (served.flag, served.reason) == ("ok", None)
 
 

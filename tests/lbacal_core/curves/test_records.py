@@ -165,8 +165,17 @@ def test_tables_and_spreads_keep_their_hash_through_json():
 
 
 def test_a_cable_that_was_not_measured_has_the_departures_of_all_paths():
-    np.testing.assert_allclose(SPREADS.variance_of("50", has_station=True), [0.03**2 + 0.04**2, 0.04**2])
-    np.testing.assert_allclose(SPREADS.variance_of("80", has_station=True), [0.04**2, 0.01**2 + 0.05**2])
+    np.testing.assert_allclose(SPREADS.variance_of("50", has_station=True), SPREADS.by_cable["50"].variance)
+    np.testing.assert_allclose(SPREADS.variance_of("80", has_station=True), ALL.variance)
+
+
+@pytest.mark.parametrize("paths", [3, 5, 40])
+def test_one_path_more_departs_as_far_as_its_error_says_however_few_were_measured(paths):
+    """Of three paths the fourth was 4 sigma off in one station of four: their spread was believed."""
+    drawn = 0.05 * np.random.default_rng(paths).standard_normal((paths + 1, 20_000))
+    known, other = drawn[:-1], drawn[-1]
+    sigma = GainSpread(paths, np.zeros(20_000), known.std(axis=0, ddof=1)).variance ** 0.5
+    assert np.mean(np.abs(other - known.mean(axis=0)) < sigma) == pytest.approx(0.683, abs=0.01)
 
 
 def test_another_station_departs_further_and_from_one_station_nobody_knows_how_far():
