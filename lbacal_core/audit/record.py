@@ -43,6 +43,8 @@ _OF_KIND = {
 OF_RECORD = frozenset(_OF_KIND.values())
 """Causes that an error of the record is."""
 _BY_NAME: dict[str, Description] = {one.identifier: one for one in (*CAUSES, SITE)}
+OF_NOBODY_S = 43_200.0
+"""Spectra so near to where a clock became another are left out, s: twelve hours, the most that a clock is off."""
 EXCHANGED = 1.0
 """Size of what is only right or wrong: letters (1 of `dipole_swap` is an exchange) and places."""
 
@@ -125,6 +127,10 @@ def put_right(spectra: Spectra, simulation: Simulation) -> PutRight | None:
     ill = {(antenna, one.dipole) for one in left_out for antenna in one.antennas}
     paths = zip(spectra.antenna.tolist(), spectra.dipole.tolist(), strict=True)
     working = spectra.select(np.flatnonzero([path not in ill for path in paths]))
+    for line in (one.line for one in errors if one.line.unit == "h"):
+        for end in (line.since_unix, line.until_unix):
+            if end is not None:  # whose clock is that of before or after, nobody knows
+                working = working.select(np.flatnonzero(np.abs(working.time_unix - end) > OF_NOBODY_S))
     instrument, corrected = simulation.instrument, working
     for one in errors:
         corrected, instrument = _correct(corrected, instrument, one.line)
@@ -159,7 +165,7 @@ def _correct(spectra: Spectra, instrument: Instrument, line: Line) -> tuple[Spec
     if line.value is not None and line.unit == "h":
         ahead = is_summer_time(spectra.time_unix) if line.kind == SUMMER_TIME else 0.0
         late_s = (line.value - ahead) * SIDEREAL_DAY_S / 24.0
-        return replace(spectra, time_unix=spectra.time_unix + late_s), instrument
+        return replace(spectra, time_unix=spectra.time_unix + line.is_during(spectra.time_unix) * late_s), instrument
     if line.check == "arms":
         turned = instrument.dipole_azimuth_deg if line.dipole is None else (line.dipole,)
         arms = instrument.dipole_azimuth_deg

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from lbacal_core.audit.antennas import fits_cables, log_likelihood_of_unit
 from lbacal_core.audit.station import SHARE, SHARE_SPREAD, SKY_HOURS, AnyReceiver, AuditedStation, Seen, make_series
-from lbacal_core.audit.verdict import LEAST_GAIN, UNDECIDED, Line, Possibility, conclude, tell_summer
+from lbacal_core.audit.verdict import LEAST_GAIN, UNDECIDED, WRONG, Line, Possibility, conclude, describe, tell_summer
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.sky.antenna_of import antenna_of
@@ -118,6 +118,8 @@ def load_models(
 SHORTEST_HOURS = 0.5
 """The sky hardly changes in less; dipoles of antennas beside each other can be compared in more."""
 CLOCK_RANGE, CLOCK_STEP, CLOCK_FINE = 24.0, 0.5, 0.05
+FEW_CLOCKS = np.arange(-11.0, 12.0, 1.5).tolist()
+"""Hours by which the clock of a month is tried: the rise of the Galaxy lasts longer than the half of a step."""
 ARMS_RANGE, ARMS_STEP, ARMS_FINE = 180.0, 10.0, 1.0
 PAIR = 2
 WHOLE_HOURS = 12.0
@@ -183,7 +185,47 @@ class SkyMatch:
         if len(station.dipoles) == PAIR:
             possibilities.append(_possible("exchange", likelihood, _exchanged(seen)))
         lines = conclude(station.name, base, possibilities, station.hours, likelihood.fits(seen))
+        if all(line.verdict != WRONG for line in lines):
+            lines = self._ask_months(rows) or lines
         return [self._ask_summer(line, rows) if "clock" in (line.kind, *line.candidates) else line for line in lines]
+
+    def _ask_months(self, rows: NDArray[np.int64]) -> list[Line]:
+        """A clock that is off in months on end, where all others agree with the record; else nothing."""
+        times, latitude = self.station.time_unix, self.instrument.latitude_deg
+        month = times.astype("datetime64[s]").astype("datetime64[M]")
+        is_off = np.zeros(month.shape, dtype=bool)
+        for one in np.unique(month):
+            if self.station.at(month == one).hours >= WHOLE_HOURS and np.any(month != one):
+                is_off |= (month == one) & self._may_be_off(month == one, rows)
+        off = np.flatnonzero(is_off)
+        if off.size == 0 or np.ptp(off) >= off.size or self.station.at(~is_off).hours < WHOLE_HOURS:
+            return []
+        likelihood, rest = self._likelihood(is_off, rows), self._likelihood(~is_off, rows)
+        clock = _scan_clock(likelihood, self.models, latitude)
+        gain = clock.log_likelihood - likelihood.log_likelihood(self._seen(likelihood))
+        if gain < LEAST_GAIN or not (clock.fits and rest.fits(self._seen(rest))):
+            return []
+        first, last = (one.astype("datetime64[D]") for one in (month[off[0]], month[off[-1]] + 1))
+        return [
+            Line(
+                "clock", WRONG, self.station.name, f"from {first} to {last} {describe(clock)}", log_odds=gain,
+                value=clock.value, sigma=clock.sigma, unit="h", kind="clock",
+                since_unix=float(first.astype("datetime64[s]").astype(float)),
+                until_unix=float(last.astype("datetime64[s]").astype(float)),
+            )
+        ]  # fmt: skip
+
+    def _may_be_off(self, instants: NDArray[np.bool_], rows: NDArray[np.int64]) -> bool:
+        """Whether some instants are likelier with another clock, among a few."""
+        one = self._likelihood(instants, rows)
+        others = (one.log_likelihood(self._seen(one, hours)) for hours in FEW_CLOCKS)
+        return max(others) - one.log_likelihood(self._seen(one)) >= LEAST_GAIN
+
+    def _likelihood(self, instants: NDArray[np.bool_], rows: NDArray[np.int64]) -> AnyReceiver:
+        return AnyReceiver(make_series(self.station.at(instants), rows), rows.size)
+
+    def _seen(self, likelihood: AnyReceiver, hours: float = 0.0) -> Seen:
+        return self.models.seen(likelihood.series.lst_hours + hours, self.instrument.latitude_deg)
 
     def _ask_summer(self, clock: Line, rows: NDArray[np.int64]) -> Line:
         """A clock that is wrong; with those of summer and winter time where an hour lies between them."""

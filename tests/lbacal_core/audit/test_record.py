@@ -75,6 +75,26 @@ def test_local_time_with_summer_time_is_no_clock_of_one_value(known, zone_h):
     assert "summer" not in zone.errors[0].sentence
 
 
+def test_a_clock_that_is_off_for_a_month_is_told_with_the_month_and_put_right(known):
+    """Nothing described such a year: the audit found nothing wrong, and an investigation named two steps of gain."""
+    rng, edges = np.random.default_rng(4), np.array(["2014-04-01", "2014-05-01"], dtype="datetime64[s]").astype(float)
+    year = np.sort(rng.uniform(1.3886e9, 1.42e9, 400))
+    spectra = make_spectra(known, year)
+    spectra = replace(spectra, power=rng.normal(1.0, 0.02, (len(spectra), 1)) * spectra.power)
+    is_off = (spectra.time_unix >= edges[0]) & (spectra.time_unix < edges[1])
+    early = replace(spectra, time_unix=spectra.time_unix - 10_800.0 * is_off)
+    right = put_right(early, Simulation(known))
+    (error,) = right.errors
+    value, sigma = error.size
+    assert (error.cause.identifier, value) == ("lst_offset", pytest.approx(3.0, abs=4 * sigma))
+    assert (error.line.since_unix, error.line.until_unix) == tuple(edges)
+    assert not error.is_as_cause
+    assert "from 2014-04-01 to 2014-05-01 sidereal time is +1" in error.sentence
+    left = np.abs(right.spectra.time_unix[:, None] - spectra.time_unix).min(axis=1)
+    assert left.max() < 4 * sigma * 3600.0
+    assert 0 < len(spectra) - len(right.spectra) < 0.03 * len(spectra), "whose clock at the ends is that of nobody"
+
+
 @pytest.mark.long
 def test_arms_are_turned_and_a_place_is_moved_back(spectra, known):
     turned = replace(known, dipole_azimuth_deg={name: one + 40.0 for name, one in known.dipole_azimuth_deg.items()})
