@@ -245,7 +245,7 @@ def repair(world: World, seed: int) -> Row:
     return {
         "size": size, "days": float(days), "antennas": int(history.antenna.max()) + 1, "events": during,
         "told": (told / DAY).tolist(), "planted": (dates / DAY).tolist(), "others": float(np.mean(others)),
-        "found": told.size == 2 and bool(np.all((limits[0] <= dates + SAME_REPAIR) & (dates - SAME_REPAIR <= limits[1]))),
+        "found": told.size == 2 and not np.any((limits[0] > dates + SAME_REPAIR) | (limits[1] < dates - SAME_REPAIR)),
     }  # fmt: skip
 
 
