@@ -269,10 +269,14 @@ class KeptChange:
 
     @property
     def cuts(self) -> list[Cut]:
-        """Where windows are cut because of it; the instrument's record cuts by itself."""
-        one = self.change
-        is_sharp = one.kind == STEP and one.sigma <= LARGEST_DATE_ERROR_US
-        if not (self.stands and is_sharp) or any(by.source == RECORD and by.ended is None for by in self.evidence):
+        """Where windows are cut because of it."""
+        return self.steps if self.change.sigma <= LARGEST_DATE_ERROR_US else []
+
+    @property
+    def steps(self) -> list[Cut]:
+        """The step of each antenna, while it is in force, however badly its date is known; none that is on record."""
+        one, is_on_record = self.change, any(by.source == RECORD and by.ended is None for by in self.evidence)
+        if one.kind != STEP or not self.stands or is_on_record:
             return []
         power = None if one.size is None else (1.0 + one.size) ** -2.0  # C^2 is proportional to 1 / power
         power = None if power is None or abs(math.log(power)) > LARGEST_TAKEN_OUT else power
@@ -396,6 +400,10 @@ class ChangeStore(Store):
         ranked = sorted(kept, key=lambda one: one.rank)
         slow = {(one.change.kind, cut.station, cut.antenna, cut.dipoles): cut for one in ranked for cut in one.follows}
         return *_sort_cuts(cut for one in kept for cut in one.cuts), *slow.values()
+
+    def undated(self, station: str | None) -> list[Cut]:
+        """The steps in force that cut no window, as their dates are not known well enough."""
+        return _sort_cuts(step for one in self.kept(station) if not one.cuts for step in one.steps)
 
     def last_act(self, station: str | None, since: Instant, until: Instant) -> list[int]:
         """How many sources of changes in a window ended, and the number of the last decision: nothing where none did.

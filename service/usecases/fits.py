@@ -57,7 +57,8 @@ Read = tuple[Window, tuple[int, int]]
 class Wanted:
     """A fit: the scope of its versions, whose spectra they are made from, the window and the model; who wants it.
 
-    `changed` are the dates at which antennas changed before the window's end.
+    `changed` are the dates at which antennas changed before the window's end, `undated` those that are known too badly
+    to cut it: the gate counts them.
     """
 
     scope: str
@@ -68,6 +69,7 @@ class Wanted:
     by: str
     reason: str
     changed: tuple[Cut, ...] = ()
+    undated: tuple[Cut, ...] = ()
 
     @property
     def taken_out(self) -> list[Cut]:
@@ -90,7 +92,8 @@ class Wanted:
     @property
     def named(self) -> list[list[Any]]:
         """The hash of these changes."""
-        cuts = [[one.station, one.antenna, one.date] for one in self.cuts]
+        gated = (one for one in self.undated if not self._is_part(one))
+        cuts = [[one.station, one.antenna, one.date] for one in (*self.cuts, *gated)]
         return cuts + [[*astuple(one)][: None if one.slow else -1] for one in self.taken_out]
 
     @property
@@ -504,10 +507,12 @@ FitOf = Callable[[str, Scope, Instant, Instant], Wanted]
 def read_fits(stores: Stores, station: str | None) -> FitOf:
     """The fits of a station, or of the array, with the model that is adopted and the changes that are in force."""
     adopted, changed = stores.models.of_station(station), stores.changes.of_fits(station)
+    undated = stores.changes.undated(station)
 
     def fit_of(scope: str, of: Scope, since: Instant, until: Instant) -> Wanted:
         model = adopted.during(since / SECOND_US, until / SECOND_US)
-        return Wanted(scope, of, since, until, model, "", "", tuple(one for one in changed if one.begins_before(until)))
+        before = (tuple(one for one in some if one.begins_before(until)) for some in (changed, undated))
+        return Wanted(scope, of, since, until, model, "", "", *before)
 
     return fit_of
 

@@ -266,15 +266,15 @@ class Gate:
         version: Version,
         predecessor: Version | None,
         model_change: ModelChange | None = None,
-        cuts: Sequence[Cut] = (),
+        steps: Sequence[Cut] = (),
         slow: Sequence[SlowChange] = (),
     ) -> str | None:
         """Why a version may not go into effect by itself, with the worst of its events; None if it may.
 
         Where the predecessor was fitted with another model, a change of C passes that `model_change` announced; what is
-        in force to have changed between the two (`cuts`, and the `slow` changes of the scope) is no objection.
+        in force to have changed between the two (`steps`, and the `slow` changes of the scope) is no objection.
         """
-        in_force = (0.0, 0.0) if predecessor is None else find_in_force(version, predecessor, cuts, slow)
+        in_force = (0.0, 0.0) if predecessor is None else find_in_force(version, predecessor, steps, slow)
         reason = self._object(version, predecessor, model_change, in_force)
         worst = version.anomalies.name_worst(EVENTS_NAMED)
         return f"{reason}; worst events: {worst}" if reason and worst else reason
@@ -345,12 +345,12 @@ class Gate:
 
 
 def find_in_force(
-    version: Version, predecessor: Version, cuts: Sequence[Cut], slow: Sequence[SlowChange]
+    version: Version, predecessor: Version, steps: Sequence[Cut], slow: Sequence[SlowChange]
 ) -> tuple[float, float]:
     """The range of changes of C that changes in force allow between two versions; no limits where a size is unknown."""
     windows, scope = (version.window, predecessor.window), version.scope
     first, last = min(since for since, _ in windows), max(until for _, until in windows)
-    own = [one for one in cuts if one.station == scope.station and one.antenna in (None, scope.antenna)]
+    own = [one for one in steps if one.station == scope.station and one.antenna in (None, scope.antenna)]
     inside = [one.power for one in own if first < one.date < last]
     if None in inside:
         return -math.inf, math.inf

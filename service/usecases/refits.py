@@ -206,11 +206,11 @@ class Refits:
         versions = stores.versions.get_many({*before.values(), *standing.values(), *aside.values()})
         change = stores.models.last_change(part.request["station"], since, until)
         superseded, kept_changes = _explain_other_model(stores, part), stores.changes.kept(part.request["station"])
-        cuts, of_antenna = [cut for one in kept_changes for cut in one.cuts], group_by_antenna(kept_changes)
+        steps, of_antenna = [step for one in kept_changes for step in one.steps], group_by_antenna(kept_changes)
 
         def object_to(v: Version) -> str | None:
             slow = [one.slow for one in find_slow(v.scope, of_antenna) if one.slow]
-            return self.gate.objection(v, versions.get(before.get(v.scope, "")), change, cuts, slow)
+            return self.gate.objection(v, versions.get(before.get(v.scope, "")), change, steps, slow)
 
         gated = {v.id: superseded or object_to(v) for v in made}
         rest = _find_rest(stores, scopes, since, until) if part.is_due else {}

@@ -19,6 +19,7 @@ from service.storage.changes import STEP, Change, Decision, Evidence, KeptChange
 from service.storage.jobs import Job, Part
 from service.storage.sums import KeptPiece
 from service.storage.versions import Examined, Version
+from service.usecases.calibrations import CurveInEffect
 from service.usecases.fits import read_served
 from service.usecases.refits import _confirm, _find_alike, _list_before
 from service.usecases.windows import ALONE
@@ -552,3 +553,26 @@ def test_a_mean_that_was_fitted_while_a_change_was_in_force_is_fitted_again_once
         said = stores.ledger.decisive_at([(scope, since + 1) for scope in (Scope(), Scope("CS002"))])
         versions = stores.versions.get_many([str(one.calibration) for one in said.values()])
     assert [version.scope.key for version in versions.values() if "beside" not in version.inputs] == []
+
+
+@pytest.mark.long
+def test_an_antenna_that_came_back_with_another_gain_waited_for_ever(bare: Factory, campaign: Spectra) -> None:
+    """Its step cut no window, as nobody knew the date to 90 days, and the gate counted what cuts alone."""
+    power, since = campaign.power.copy(), np.datetime64("2015-01-01", "s").astype(float)
+    power[(campaign.antenna == 1) & (campaign.time_unix >= since)] *= 0.7
+    add_spectra(bare, replace(campaign, power=power))
+    night(bare)
+
+    def answer() -> CurveInEffect:
+        return bare.calibrations.in_effect(instant("2015-06-01"), [Scope("CS002", 1, "X")]).curves[0]
+
+    assert answer().promotion.scope == Scope("CS002")
+    body = {
+        "paths": [{"station": "CS002", "antenna": 1}], "at": {"value": "2014-10-01", "sigma_days": 94.0},
+        "size": {"value": 0.195, "sigma": 0.002}, "reason": "test",
+    }  # fmt: skip
+    assert bare.changes.enter(ChangeBody.model_validate(body), "test").cuts == []
+    night(bare)
+    assert answer().version.window == (instant("2015-01-01"), instant("2016-01-01"))
+    assert answer().promotion.scope.antenna == 1
+    assert night(bare) == []
