@@ -7,10 +7,10 @@ from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from sqlalchemy import ColumnElement, Connection, Row, and_, func, or_, select
+from sqlalchemy import ColumnElement, Connection, Row, and_, or_, select
 
 from lbacal.instants import SECOND_US
 from lbacal_core.calibration.spreads import ServedCurve, carry_to_path
@@ -27,6 +27,7 @@ from lbacal_core.curves.curves import (
 )
 from lbacal_core.curves.reference_chain import CableTable, GainSpreads, ReferenceChain, parse_cable_table, parse_spreads
 from lbacal_core.curves.validity import Instant, Scope, parse_scope
+from lbacal_core.errors import name_path
 from lbacal_core.provenance import canonical_json, hash_content
 from service.errors import NotFoundError
 from service.schema.tables import IS_GATED, budget, calibration, calibration_mean, chain_part, examined, promotion
@@ -247,6 +248,20 @@ class Examined:
     made: Instant
 
 
+class Waiting(NamedTuple):
+    """A version that waits for a human, and the objection of the gate."""
+
+    calibration: str
+    scope: Scope
+    gate: str
+
+    @property
+    def sentence(self) -> str:
+        """Whose version waits, for whom, and why."""
+        name = name_path(*self.scope.parts)
+        return f"version {self.calibration[:12]} of {name} waits for a person to promote it ({self.gate})"
+
+
 def _find_uncut(row: Row[Any], others: Sequence[Row[Any]]) -> str:
     """The first of the newest spectra in the longest window, of versions in the order in which they were made."""
     own = json.loads(row.inputs)
@@ -366,15 +381,20 @@ class VersionStore(Store):
             found.setdefault((row.station, level, row.since_us, row.until_us), []).append(row.id)
         return found
 
-    def count_gated(self) -> int:
-        """How many versions wait for a human: kept back by the gate, promoted by nobody, newest of their window.
+    def waiting(self, scopes: Iterable[Scope] | None = None, at: Instant | None = None) -> list[Waiting]:
+        """List what waits for a human, of all or some scopes, at any or an instant, in the order in which it was made.
 
-        One over whose window versions were promoted since, such as those on both sides of a change, is over.
+        That is kept back by the gate, promoted by nobody, newest of its window. One over whose window versions were
+        promoted since, such as those on both sides of a change, is over.
         """
         promoted = select(promotion.c.id).where(promotion.c.calibration == calibration.c.id).exists()
         is_over = and_(_is_promoted_since(calibration.c.since_us), _is_promoted_since(calibration.c.until_us - 1))
-        waiting = select(func.count()).select_from(calibration).where(IS_GATED, ~promoted, ~_has_newer(), ~is_over)
-        return int(self._connection.execute(waiting).scalar_one())
+        inside = [] if at is None else [calibration.c.since_us <= at, calibration.c.until_us > at]
+        inside += [] if scopes is None else [calibration.c.scope.in_({scope.key for scope in scopes})]
+        statement = select(calibration.c.id, calibration.c.scope, calibration.c.gate)
+        statement = statement.where(IS_GATED, *inside, ~promoted, ~_has_newer(), ~is_over)
+        rows = self._connection.execute(statement.order_by(calibration.c.made_us, calibration.c.id))
+        return [Waiting(row.id, parse_scope(row.scope), row.gate) for row in rows]
 
     def means(self, ids: Iterable[str]) -> list[MeanC]:
         """Band means of C of the converged curves of versions, in order of their windows."""

@@ -21,7 +21,7 @@ from service.errors import NotInEffectError
 from service.storage.changes import Cut, Epoch, KeptChange, concerns, split_epochs
 from service.storage.database import Database
 from service.storage.ledger import Neighbours
-from service.storage.versions import Version
+from service.storage.versions import Version, Waiting
 
 FEWEST_REMEMBERED = 1200
 """Versions, and curves as texts, that stay in memory: the Superterp's of two years, 40 MB.
@@ -31,8 +31,9 @@ An instrument with more paths has one for each: a cache that is swept from end t
 BUDGETS_REMEMBERED = 100
 WHOLE_REMEMBERED = 2
 """Answers for all paths: one of 5,000 paths is 43 MB."""
-State = tuple[int, Instant | None, tuple[KeptChange, ...]]
-"""The newest promotion, the latest instant of the ledger, the changes on record: what is in effect follows."""
+State = tuple[int, Instant | None, tuple[KeptChange, ...], tuple[Waiting, ...]]
+"""The newest promotion, the latest instant of the ledger, the changes on record: what is in effect follows. And what
+waits."""
 SLOW_STEP_US = 10 * DAY_US
 """C along a ramp or season is served for the middle of so long a time: what is cached stays true in it, and five days
 of a season are 9 % of its amplitude."""
@@ -58,6 +59,8 @@ class CurveInEffect:
         What to know where the version answers on both sides of a change that was found; None where it does not.
     epoch
         The time between changes in force in which the instant lies.
+    waiting
+        A version that would answer here but for the gate; not told of the past of the ledger.
     slow, followed_at
         The ramps and seasons in force that C follows, and the instant at which it does; none and None where there are
         none.
@@ -72,6 +75,7 @@ class CurveInEffect:
     without_cable: Instant | None
     changed: str | None
     epoch: Epoch
+    waiting: Waiting | None
     slow: tuple[KeptChange, ...]
     followed_at: Instant | None
     version: Version = field(compare=False, repr=False)
@@ -103,6 +107,7 @@ class CurveInEffect:
         ]
         named = " and ".join(f"change {one.number} ({one.change.kind})" for one in self.slow)
         followed = f"; C follows {named}, which adds an error of {100.0 * served.error:.2f} %" if named else ""
+        waits = "" if self.waiting is None else f"; {self.waiting.sentence}"
         ends = [
             f"{'a record of the instrument' if number is None else f'change {number}'} of {format_instant(date)[:10]} "
             f"{does} its epoch"
@@ -112,7 +117,7 @@ class CurveInEffect:
         return (
             f"made {format_instant(made.made)[:19]}Z by {made.made_by} ({made.reason}), in effect since "
             f"{format_instant(acted.at)[:19]}Z by {acted.by} ({acted.reason}); "
-            f"{' and '.join(ends) or 'no change in force bounds its epoch'}{followed}{''.join(withdrawn)}"
+            f"{' and '.join(ends) or 'no change in force bounds its epoch'}{followed}{''.join(withdrawn)}{waits}"
         )
 
 
@@ -223,10 +228,10 @@ class Calibrations:
         return written
 
     def _read_state(self) -> State:
-        number, instant, kept = self.database.ask(
-            lambda s: (s.ledger.newest_number(), s.ledger.newest_instant(), s.changes.kept())
+        number, instant, kept, waiting = self.database.ask(
+            lambda s: (s.ledger.newest_number(), s.ledger.newest_instant(), s.changes.kept(), s.versions.waiting())
         )
-        return number, instant, tuple(kept)
+        return number, instant, tuple(kept), tuple(waiting)
 
     @property
     def _remembered(self) -> int:
@@ -239,6 +244,9 @@ class Calibrations:
         stations = {path.station for path in paths}
         near = next(iter(stations)) if len(stations) == 1 else None
         asked, kept = self.database.ask(lambda s: (s.ledger.answers(paths, at, as_of), s.changes.kept(near, as_of)))
+        scopes = None if near is None else {scope for path in paths for scope in path.widening}
+        of_now = self.database.ask(lambda s: s.versions.waiting(scopes, at)) if as_of is None else []
+        waits = {one.scope: one for one in of_now}
         of_antenna = group_by_antenna(kept)
         answers = _pick_decisive(asked)
         held: Mapping[Scope, Promotion] = {}
@@ -269,7 +277,10 @@ class Calibrations:
             is_held = promotion == held.get(path)
             chain = version.chains.get(str(path.dipole))
             records = () if chain is None else chain.cables.records.get(path.parts[:2], ())
-            scope, epoch = promotion.scope, _find_epoch(path, at, of_antenna, records)
+            scope = promotion.scope
+            alike = path.widening[: path.widening.index(scope) + 1]
+            waiting = next((waits[one] for one in alike if one in waits), None)
+            between = _find_epoch(path, at, of_antenna, records), waiting
             over = (cut for cut in cuts[scope] if bridging.get((scope, cut.date)) == promotion.calibration)
             changed = next((cut.warning for cut in over), None)
             slow = find_slow(scope, of_antenna)
@@ -277,11 +288,11 @@ class Calibrations:
             followed = slow, step * SLOW_STEP_US + SLOW_STEP_US // 2 if slow else None
             if path.antenna is None:
                 for curve in version.curves:
-                    yield CurveInEffect(path, curve.dipole, *served, None, None, None, epoch, *followed, version, at)
+                    yield CurveInEffect(path, curve.dipole, *served, None, None, None, *between, *followed, version, at)
                 return
             cable = version.cable_of(path, at)
             unknown = at if cable is None and str(path.dipole) in version.chains else None
-            yield CurveInEffect(path, path.dipole, *served, cable, unknown, changed, epoch, *followed, version, at)
+            yield CurveInEffect(path, path.dipole, *served, cable, unknown, changed, *between, *followed, version, at)
 
         curves = [curve for path in paths if path in answers for curve in list_curves(path, answers[path])]
         return InEffect(at, curves, [path for path in paths if path not in answers], budgets)

@@ -361,17 +361,17 @@ def test_a_version_that_a_later_night_replaced_waited_for_a_human_for_ever(after
     """A year's first versions have too few events: the status went on to count them when the year was calibrated."""
     with after_night.database.write() as stores:
         version = max(stores.versions.search(None, None, "", 1000), key=lambda one: one.made)
-        assert stores.versions.count_gated() == 0
+        assert len(stores.versions.waiting()) == 0
         for made, waiting in ((version.made - 1, 0), (version.made + HOUR_US, 1)):
             kept_back = replace(version, inputs={**version.inputs, "number": made}, made=made, gate="too_few_events")
             stores.versions.add([kept_back])
-            assert stores.versions.count_gated() == waiting
+            assert len(stores.versions.waiting()) == waiting
         # what was promoted later on both sides of a change covers the year of which it was kept back
         half = (version.since + version.until) // 2
         for ends, waiting in (((version.since, half), 1), ((half, version.until), 0)):
             promotion = Promotion(0, version.scope, *ends, version.id, 0, "night", "")
             stores.ledger.append([promotion], lambda: version.made + 2 * HOUR_US)
-            assert stores.versions.count_gated() == waiting
+            assert len(stores.versions.waiting()) == waiting
 
 
 HOUR_US = 3_600_000_000
@@ -567,6 +567,7 @@ def test_an_antenna_that_came_back_with_another_gain_waited_for_ever(bare: Facto
         return bare.calibrations.in_effect(instant("2015-06-01"), [Scope("CS002", 1, "X")]).curves[0]
 
     assert answer().promotion.scope == Scope("CS002")
+    assert "of CS002 antenna 1 X waits for a person to promote it (CS002 antenna 1 X: mean C differs by" in answer().why
     body = {
         "paths": [{"station": "CS002", "antenna": 1}], "at": {"value": "2014-10-01", "sigma_days": 94.0},
         "size": {"value": 0.195, "sigma": 0.002}, "reason": "test",
@@ -575,4 +576,5 @@ def test_an_antenna_that_came_back_with_another_gain_waited_for_ever(bare: Facto
     night(bare)
     assert answer().version.window == (instant("2015-01-01"), instant("2016-01-01"))
     assert answer().promotion.scope.antenna == 1
+    assert "waits" not in answer().why
     assert night(bare) == []
