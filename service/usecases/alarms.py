@@ -38,6 +38,7 @@ from service.storage.changes import DISMISSED, NOT_REFITTED, KeptChange
 from service.storage.database import Database, Stores
 from service.storage.jobs import Job
 from service.storage.models import Investigation
+from service.storage.spectra import Window
 from service.storage.versions import Version
 from service.usecases.drift import year_of
 from service.usecases.watch import UNLESS, read_changes
@@ -220,7 +221,7 @@ class Alarms:
             if instant < last:
                 lost.setdefault((str(path.station), instant), []).append(path)
         for (station, instant), paths in lost.items():
-            missed = stores.spectra.count_after(witness, instant)
+            missed = stores.spectra.count_usable(Window(instant + 1, last + 1, witness))
             if missed < SILENT_EVENTS:
                 continue
             scope = paths[0] if len(paths) == 1 else Scope(station)

@@ -18,6 +18,7 @@ from lbacal_twin.faults.sky import LstOffset
 from lbacal_twin.settings import TwinSettings
 from service.factory import Factory
 from service.scheduler import look_for_due_work
+from service.storage.alarms import AlarmsAsked
 from service.storage.models import Investigation
 from service.storage.versions import Version
 from service.usecases.alarms import find_named
@@ -81,6 +82,18 @@ def test_paths_lost_together_are_one_alarm_and_few_missed_events_none(
     (lost,) = alarms(client)
     assert (lost["station"], lost["antenna"]) == ("CS002", None)
     assert lost["content"]["paths"] == ["CS002/1/X", "CS002/1/Y"]
+
+
+def test_the_alarm_of_a_lost_path_counted_events_that_were_flagged_and_sent_again(factory: Factory) -> None:
+    store(factory, range(40), {("CS001", 1, "X"): 12})
+    for day in range(20, 40):
+        factory.intake.set_flag(f"e{day}", "bad", reason="corrected", by="test")
+    again = [(f"new{day}", FIRST + DAY_S * day, *path) for day in range(20, 40) for path in PATHS]
+    add_spectra(factory, flat_spectra(*(row for row in again if row[2:] != ("CS001", 1, "X"))))
+    factory.alarms.look()
+    with factory.database.read() as stores:
+        (lost,) = stores.alarms.newest(AlarmsAsked(("open",), 10, kind="lost_path"), 0)
+    assert lost.news.content["events_missed"] == 28
 
 
 def test_data_that_stopped_coming_are_stale_unless_nobody_expects_any(
