@@ -249,7 +249,7 @@ def alarms(
     state: Annotated[str, typer.Option(help="open, acknowledged, ended, lasting (not ended) or all.")] = "lasting",
     as_json: Json = False,
 ) -> None:
-    """List steps and slopes of C, lost paths, stale data, misfits, named causes, failed jobs; or acknowledge one.
+    """List steps, slopes, lost paths, left-out spectra, stale data, misfits, causes, failed jobs; or acknowledge one.
 
     Example: lbacal alarms --acknowledge 12 --until 2027-03-01 --reason "the cable is ordered"
     """

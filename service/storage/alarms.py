@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 from sqlalchemy import Row, and_, func, or_, select, update
 
-from lbacal_core.curves.validity import Instant, Scope
+from lbacal.instants import format_instant
+from lbacal_core.curves.validity import Instant, Scope, parse_scope
 from lbacal_core.provenance import canonical_json
 from service.errors import NotFoundError
 from service.schema.tables import alarm
@@ -19,12 +20,13 @@ from service.storage.rows import Store, equal, from_row, scope_columns
 STEP = "step"
 SLOPE = "slope"
 LOST_PATH = "lost_path"
+LEFT_OUT = "left_out"
 STALE_DATA = "stale_data"
 MISFIT = "misfit"
 CAUSE_STOPPED_PAYING = "cause_stopped_paying"
 NAMED_CAUSE = "named_cause"
 FAILED_JOB = "failed_job"
-KINDS = (STEP, SLOPE, LOST_PATH, STALE_DATA, MISFIT, NAMED_CAUSE, CAUSE_STOPPED_PAYING, FAILED_JOB)
+KINDS = (STEP, SLOPE, LOST_PATH, LEFT_OUT, STALE_DATA, MISFIT, NAMED_CAUSE, CAUSE_STOPPED_PAYING, FAILED_JOB)
 
 OPEN, ACKNOWLEDGED, ENDED = "open", "acknowledged", "ended"
 STATES = (OPEN, ACKNOWLEDGED, ENDED)
@@ -92,6 +94,20 @@ class Alarm:
         return OPEN if known is None or (known.until is not None and known.until <= now) else ACKNOWLEDGED
 
 
+class LeftOut(NamedTuple):
+    """How many spectra of a path, all of the newest, are left out of fits, and since when."""
+
+    path: Scope
+    since: Instant
+    spectra: int
+
+    @property
+    def warning(self) -> str:
+        """A warning about C since then."""
+        day = format_instant(self.since)[:10]
+        return f"all {self.spectra} spectra since {day} are left out as anomalous: C in effect is that of before"
+
+
 @dataclass(frozen=True)
 class AlarmsAsked:
     """Which alarms are listed: those in some states; of a kind, a station, below a number where these are given."""
@@ -150,6 +166,13 @@ class AlarmStore(Store):
             statement = statement.where(alarm.c.id < asked.before)
         statement = statement.order_by(alarm.c.id.desc()).limit(asked.limit)
         return [_value(row) for row in self._connection.execute(statement)]
+
+    def left_out(self) -> list[LeftOut]:
+        """The paths all of whose newest spectra are left out of fits."""
+        return [
+            LeftOut(parse_scope(key), one.news.since or 0, one.news.content["spectra"])
+            for one in self._of([LEFT_OUT]) if one.ended is None for key in one.news.content["paths"]
+        ]  # fmt: skip
 
     def count(self, now: Instant, state: str) -> dict[str, int]:
         """How many there are in one of `STATES`, by kind."""

@@ -441,9 +441,12 @@ class SpectraStore(Store):
             found |= {row.id: int(row.newest) for row in self._connection.execute(silent, {"some": some}) if row.newest}
         return {Scope(row.station, row.antenna, row.dipole): found[row.id] for row in paths if row.id in found}
 
-    def count_usable(self, window: Window) -> int:
-        """Count the spectra that a fit of a window uses."""
-        return int(self._connection.execute(_usable(select(func.count()), window)).scalar_one())
+    def count(self, window: Window) -> int:
+        """Count the spectra of a window whose events are not flagged."""
+        inside = spectrum.c.time_us >= window.since, spectrum.c.time_us < window.until
+        of_events = _of_events(_near(window), event.c.flag.is_(None))
+        statement = _joined(select(func.count())).where(*_of_scope(window.scope), *of_events, *inside)
+        return int(self._connection.execute(statement).scalar_one())
 
     def covariates_by_month(self, since: Instant, until: Instant) -> dict[str, list[tuple[Instant, Floats]]]:
         """Covariates at events of [since, until) by name: first instant and values, shape (event,), of each month."""

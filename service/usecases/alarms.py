@@ -19,10 +19,12 @@ from lbacal_core.causes.model import Model
 from lbacal_core.curves.curves import OK
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import BadInputError, name_path
+from lbacal_core.spectra.screening import LASTING_EVENTS
 from service.storage.alarms import (
     ACKNOWLEDGED,
     CAUSE_STOPPED_PAYING,
     FAILED_JOB,
+    LEFT_OUT,
     LOST_PATH,
     MISFIT,
     NAMED_CAUSE,
@@ -34,14 +36,15 @@ from service.storage.alarms import (
     AlarmsAsked,
     News,
 )
-from service.storage.changes import DISMISSED, NOT_REFITTED, KeptChange
+from service.storage.changes import DISMISSED, NOT_REFITTED, KeptChange, concerns, is_same_date
 from service.storage.database import Database, Stores
 from service.storage.jobs import Job
 from service.storage.models import Investigation
 from service.storage.spectra import Window
 from service.storage.versions import Version
 from service.usecases.drift import year_of
-from service.usecases.watch import UNLESS, read_changes
+from service.usecases.gate import name_members
+from service.usecases.watch import MEMBERS_NAMED, UNLESS, read_changes
 from service.wire.bodies import AcknowledgementBody
 
 if TYPE_CHECKING:
@@ -134,11 +137,12 @@ def _tell(station: str, subject: str, years: Sequence[_Named]) -> News:
     return News(NAMED_CAUSE, Scope(station), subject, sentence, content, years[0].made.since)
 
 
-LOOKED_FOR = (LOST_PATH, STALE_DATA, MISFIT, NAMED_CAUSE, FAILED_JOB, CAUSE_STOPPED_PAYING)
+LOOKED_FOR = (LOST_PATH, LEFT_OUT, STALE_DATA, MISFIT, NAMED_CAUSE, FAILED_JOB, CAUSE_STOPPED_PAYING)
 FAILURES_SINCE_US = 30 * DAY_US
 FAILURES_READ = 200
 NAMES = {
     "step": ("step", "steps"), "slope": ("slope", "slopes"), "lost_path": ("lost path", "lost paths"),
+    "left_out": ("path whose newest spectra are left out", "paths whose newest spectra are left out"),
     "stale_data": ("stale data", "stale data"), "misfit": ("misfit", "misfits"),
     "named_cause": ("cause named and not adopted", "causes named and not adopted"),
     "cause_stopped_paying": ("cause that stopped paying", "causes that stopped paying"),
@@ -181,6 +185,7 @@ class Alarms:
             present = [
                 *stopped,
                 *self._lost(stores),
+                *find_left_out(stores),
                 *self._stale(stores, now),
                 *_misfits(stores),
                 *find_named(stores),
@@ -221,7 +226,7 @@ class Alarms:
             if instant < last:
                 lost.setdefault((str(path.station), instant), []).append(path)
         for (station, instant), paths in lost.items():
-            missed = stores.spectra.count_usable(Window(instant + 1, last + 1, witness))
+            missed = stores.spectra.count(Window(instant + 1, last + 1, witness))
             if missed < SILENT_EVENTS:
                 continue
             scope = paths[0] if len(paths) == 1 else Scope(station)
@@ -252,6 +257,32 @@ def _with_state(alarm: Alarm, kept: Sequence[KeptChange]) -> Alarm:
         told = f"{so_far.rpartition('; ')[0]}; a person dismissed the change" if True in is_dismissed else so_far
     told += "" if all(one.is_refitted for one in own) else f" ({NOT_REFITTED})"
     return replace(alarm, news=replace(alarm.news, sentence=told))
+
+
+def find_left_out(stores: Stores) -> Iterator[News]:
+    """Find the paths whose newest spectra are all left out of fits, where no change in force explains that.
+
+    Those of a station since one event are one alarm.
+    """
+    kept = [one for one in stores.changes.kept() if one.stands and one.change.kind == STEP]
+    found: dict[tuple[str, int], list[dict[str, Any]]] = {}
+    for one in (stores.drift.report() or {}).get("left_out", []):  # reports of before had none
+        since = round(one["last_unix"] * SECOND_US)
+        of_station = [other for other in kept if other.change.station in (None, one["station"])]
+        own = [other.change for other in of_station if concerns(other, one["antenna"], one["dipole"])]
+        if not any(of.date > since or is_same_date((of.date, of.sigma), (since, 0)) for of in own):
+            found.setdefault((one["station"], since), []).append(one)
+    for (station, since), paths in found.items():
+        scopes = [Scope(station, one["antenna"], one["dipole"]) for one in paths]
+        spectra = max(one["spectra"] for one in paths)
+        who = f"{station} ({name_members(paths, MEMBERS_NAMED)})" if len(paths) > 1 else name_path(*scopes[0].parts)
+        sentence = (
+            f"{who}: all {spectra} spectra since {format_instant(since)[:10]} are left out of fits as anomalous, and C "
+            "in effect is that of before, flagged uncertain: enter the change if the gain is another (lbacal changes "
+            f"enter), else look at the receiver; {LASTING_EVENTS} in a row count by themselves"
+        )
+        content = {"paths": [path.key for path in scopes], "spectra": spectra}
+        yield News(LEFT_OUT, scopes[0] if len(scopes) == 1 else Scope(station), "", sentence, content, since)
 
 
 def _silent(stores: Stores) -> dict[Scope, Instant]:

@@ -18,6 +18,7 @@ from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import Remembered
 from service.errors import NotInEffectError
+from service.storage.alarms import LeftOut
 from service.storage.changes import Cut, Epoch, KeptChange, concerns, split_epochs
 from service.storage.database import Database
 from service.storage.ledger import Neighbours
@@ -31,9 +32,9 @@ An instrument with more paths has one for each: a cache that is swept from end t
 BUDGETS_REMEMBERED = 100
 WHOLE_REMEMBERED = 2
 """Answers for all paths: one of 5,000 paths is 43 MB."""
-State = tuple[int, Instant | None, tuple[KeptChange, ...], tuple[Waiting, ...]]
+State = tuple[int, Instant | None, tuple[KeptChange, ...], tuple[Waiting, ...], tuple[LeftOut, ...]]
 """The newest promotion, the latest instant of the ledger, the changes on record: what is in effect follows. And what
-waits."""
+waits, and which spectra are left out."""
 SLOW_STEP_US = 10 * DAY_US
 """C along a ramp or season is served for the middle of so long a time: what is cached stays true in it, and five days
 of a season are 9 % of its amplitude."""
@@ -56,7 +57,8 @@ class CurveInEffect:
     cable
         The path's cable at the instant; None where that is not known, and then the instant is told as `without_cable`.
     changed
-        What to know where the version answers on both sides of a change that was found; None where it does not.
+        What to know where the version answers on both sides of a change that was found, or where the path's newest
+        spectra are left out of fits, as is known now; None elsewhere.
     epoch
         The time between changes in force in which the instant lies.
     waiting
@@ -228,10 +230,12 @@ class Calibrations:
         return written
 
     def _read_state(self) -> State:
-        number, instant, kept, waiting = self.database.ask(
-            lambda s: (s.ledger.newest_number(), s.ledger.newest_instant(), s.changes.kept(), s.versions.waiting())
-        )
-        return number, instant, tuple(kept), tuple(waiting)
+        return self.database.ask(
+            lambda s: (
+                s.ledger.newest_number(), s.ledger.newest_instant(),
+                tuple(s.changes.kept()), tuple(s.versions.waiting()), tuple(s.alarms.left_out()),
+            )
+        )  # fmt: skip
 
     @property
     def _remembered(self) -> int:
@@ -244,9 +248,7 @@ class Calibrations:
         stations = {path.station for path in paths}
         near = next(iter(stations)) if len(stations) == 1 else None
         asked, kept = self.database.ask(lambda s: (s.ledger.answers(paths, at, as_of), s.changes.kept(near, as_of)))
-        scopes = None if near is None else {scope for path in paths for scope in path.widening}
-        of_now = self.database.ask(lambda s: s.versions.waiting(scopes, at)) if as_of is None else []
-        waits = {one.scope: one for one in of_now}
+        waits, left_out = ({}, {}) if as_of is not None else self._ask_of_now(at, None if near is None else paths)
         of_antenna = group_by_antenna(kept)
         answers = _pick_decisive(asked)
         held: Mapping[Scope, Promotion] = {}
@@ -277,12 +279,11 @@ class Calibrations:
             is_held = promotion == held.get(path)
             chain = version.chains.get(str(path.dipole))
             records = () if chain is None else chain.cables.records.get(path.parts[:2], ())
-            scope = promotion.scope
+            scope, epoch = promotion.scope, _find_epoch(path, at, of_antenna, records)
             alike = path.widening[: path.widening.index(scope) + 1]
-            waiting = next((waits[one] for one in alike if one in waits), None)
-            between = _find_epoch(path, at, of_antenna, records), waiting
-            over = (cut for cut in cuts[scope] if bridging.get((scope, cut.date)) == promotion.calibration)
-            changed = next((cut.warning for cut in over), None)
+            between = epoch, next((waits[one] for one in alike if one in waits), None)
+            over = [cut.warning for cut in cuts[scope] if bridging.get((scope, cut.date)) == promotion.calibration]
+            changed = next(iter([*over, *left_out.get(path, [])]), None)
             slow = find_slow(scope, of_antenna)
             served, step = (promotion, is_held, trace), at // SLOW_STEP_US
             followed = slow, step * SLOW_STEP_US + SLOW_STEP_US // 2 if slow else None
@@ -296,6 +297,18 @@ class Calibrations:
 
         curves = [curve for path in paths if path in answers for curve in list_curves(path, answers[path])]
         return InEffect(at, curves, [path for path in paths if path not in answers], budgets)
+
+    def _ask_of_now(
+        self, at: Instant, paths: Sequence[Scope] | None
+    ) -> tuple[dict[Scope, Waiting], dict[Scope, list[str]]]:
+        """What waits for a person in windows that hold an instant, of all paths or some, and which paths are warned of.
+
+        That are those whose newest spectra are left out of fits.
+        """
+        scopes = None if paths is None else {scope for path in paths for scope in path.widening}
+        waiting, left_out = self.database.ask(lambda s: (s.versions.waiting(scopes, at), s.alarms.left_out()))
+        warnings = {one.path: [one.warning] for one in left_out if one.since < at}
+        return {one.scope: one for one in waiting}, warnings
 
     def _ask_array(self, at: Instant, as_of: Instant | None) -> tuple[list[Promotion], dict[str, Version]]:
         """Ask the array for what a station's mean lacks, of which only the other dipole was recorded."""

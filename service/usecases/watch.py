@@ -29,6 +29,7 @@ from service.storage.changes import DRIFT as BY_DRIFT
 from service.storage.changes import LARGEST_DATE_ERROR_US, PERSON, RAMP, RECORD, SEASON, Change, Evidence, KeptChange
 from service.storage.database import Database, Stores
 from service.storage.jobs import Part
+from service.storage.spectra import EVENT_SPAN_US, Window
 from service.storage.sums import DRIFT, Sums
 from service.usecases.gate import PLAIN, drop_noise, name_members, split_by_size, tell_change
 
@@ -41,6 +42,8 @@ MEMBERS_NAMED = 4
 """A sentence names this many of those that changed together, and counts the others."""
 UNLESS = " unless a person dismissed the change"
 """The end of the sentence of an alarm, whose list says which it is."""
+FEWEST_LEFT_OUT = 5
+"""Exceptions are a twentieth of a path's spectra at the most: so many in a row are one by chance in three millions."""
 TREND_P = 0.001
 """Probability of a trend of the whole without one, below which it is an alarm."""
 
@@ -65,7 +68,8 @@ class Watch:
             inputs = self.name_inputs(stores)
             years = stores.sums.of_kind(DRIFT)
             history = assemble_history(years, find_hardware_changes(self.instrument)) if inputs else None
-        report = None if history is None else self._report(history)
+            left_out = [] if history is None else list(_find_left_out(stores, history))
+        report = None if history is None else self._report(history) | {"left_out": left_out}
         with self.database.write() as stores:
             now = self.clock()
             stores.jobs.complete(part, worker, {"calibrations": []}, now)
@@ -125,6 +129,23 @@ def _list_measured(history: History) -> Measured:
         (station, antenna, dipole): span
         for (station, antenna, letter), span in zip(paths, spans, strict=True) for dipole in (letter, None)
     }  # fmt: skip
+
+
+def _find_left_out(stores: Stores, history: History) -> Iterator[dict[str, Any]]:
+    """Find paths whose newest spectra, `FEWEST_LEFT_OUT` or more, were all left out; not those that count as silent."""
+    from lbacal_core.drift.report import SILENT_EVENTS
+
+    time_us = history.time_unix * SECOND_US
+    for (station, antenna, dipole), (_, last) in _list_measured(history).items():
+        if dipole is None or np.sum(time_us > last) < FEWEST_LEFT_OUT:
+            continue
+        ends = round(last) + EVENT_SPAN_US, round(float(time_us[-1])) + EVENT_SPAN_US
+        spectra = stores.spectra.count(Window(*ends, Scope(station, antenna, dipole)))
+        if FEWEST_LEFT_OUT <= spectra < SILENT_EVENTS:
+            yield {
+                "station": station, "antenna": antenna, "dipole": dipole, "last_unix": last / SECOND_US,
+                "spectra": spectra,
+            }  # fmt: skip
 
 
 def settle_changes(stores: Stores, report: Mapping[str, Any], measured: Measured, now: Instant) -> None:

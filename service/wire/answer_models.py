@@ -531,7 +531,15 @@ class DriftAnswer(PathAnswer):
 
 
 AlarmKind = Literal[
-    "step", "slope", "lost_path", "stale_data", "misfit", "named_cause", "cause_stopped_paying", "failed_job"
+    "step",
+    "slope",
+    "lost_path",
+    "left_out",
+    "stale_data",
+    "misfit",
+    "named_cause",
+    "cause_stopped_paying",
+    "failed_job",
 ]
 
 

@@ -39,7 +39,7 @@ def ask(client: TestClient, at: str = "2014-06-01", **params: Any) -> Any:
 PATH = {"station": "CS001", "antenna": 0, "dipole": "X"}
 
 
-def test_a_path_asked_for_again_costs_three_statements_and_no_transaction(
+def test_a_path_asked_for_again_costs_four_statements_and_no_transaction(
     client: TestClient, stored: Stored, factory: Factory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     promote(client, stored["station"], "2014-01-01")
@@ -57,7 +57,7 @@ def test_a_path_asked_for_again_costs_three_statements_and_no_transaction(
     finally:
         event.remove(Engine, "before_cursor_execute", note)
     assert (again.status_code, again.content) == (200, first.content)
-    assert len(statements) == 3, "who answers, which changes are known, and what waits"
+    assert len(statements) == 4, "who answers, which changes are known, what waits, and which spectra are left out"
 
 
 def test_the_narrowest_scope_in_effect_answers_and_says_so(client: TestClient, stored: Stored) -> None:

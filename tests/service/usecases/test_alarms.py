@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
+from lbacal.instants import format_instant
 from lbacal_core.curves.validity import Scope
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.sky.table import read_sky_power
+from lbacal_core.spectra.spectra import Spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.sky import LstOffset
 from lbacal_twin.settings import TwinSettings
@@ -22,6 +24,7 @@ from service.storage.alarms import AlarmsAsked
 from service.storage.models import Investigation
 from service.storage.versions import Version
 from service.usecases.alarms import find_named
+from service.wire.bodies import ChangeBody
 from tests.service.conftest import (
     Clock,
     add_spectra,
@@ -176,6 +179,46 @@ def test_a_step_is_raised_once_and_a_season_not_at_all(after_night: Factory) -> 
         assert len(told) == len(re.findall(r">antenna \d+ [XY]</a>", page)) > 0, (
             "every path has its slope and the error of it"
         )
+
+
+@pytest.mark.long
+def test_a_step_in_the_newest_days_was_thrown_away_and_c_of_before_served_as_ok(
+    station: Factory, campaign: Spectra
+) -> None:
+    """Fewer events than a state has are anomalous: C was 18 % off, its flag ok, and nobody was told."""
+    times = np.unique(campaign.time_unix)
+    power = campaign.power.copy()
+    for antenna, events in ((0, 4), (1, 7)):
+        power[(campaign.antenna == antenna) & (campaign.time_unix >= times[-events])] *= 0.6
+    with station.database.write() as stores:
+        for table in ("spectrum", "event_station"):
+            stores.spectra._connection.exec_driver_sql(f"DELETE FROM {table}")  # noqa: S608 - names from here
+    add_spectra(station, replace(campaign, power=power))
+    night(station)
+
+    def tell() -> list[str]:
+        station.alarms.look()
+        return [one.news.sentence for one in station.alarms.newest(AlarmsAsked(("open",), 10, kind="left_out"))]
+
+    (told,) = tell()
+    assert told.startswith("CS002 (antenna 1 X, antenna 1 Y): all 7 spectra since 20"), "four may be exceptions"
+    last, path = round(times[-1] * 1e6), {"station": "CS002", "antenna": 1, "dipole": "X"}
+    with served(station) as client:
+
+        def flag(at: int, **asked: Any) -> tuple[set[str], str]:
+            query = {"at": format_instant(at), **path, **asked}
+            (curve,) = client.get("/v1/calibrations/effective", params=query).json()["curves"]
+            return set(curve["flag"]), str(curve["flag_reason"])
+
+        assert "ok" in flag(round(times[-9] * 1e6))[0], "before"
+        flags, reason = flag(last)
+        assert "ok" not in flags
+        assert reason.startswith("all 7 spectra since 20")
+        assert "ok" in flag(last, antenna=0)[0]
+        body = {"paths": [path], "at": {"value": format_instant(round(times[-7] * 1e6))}, "reason": "test"}
+        station.changes.enter(ChangeBody.model_validate(body), "test")
+        assert [one.startswith("CS002 antenna 1 Y") for one in tell()] == [True], "the change explains the other"
+        assert "left out" not in flag(last)[1]
 
 
 ONE_YEAR = TwinSettings(stations=("CS002",), antennas=4, events_per_year=300, years=0.99)
