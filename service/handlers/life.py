@@ -50,7 +50,7 @@ def get_life_of_array(request: Request, use: UseCases) -> Response:
     return answer(request, describe_life(use.lives.of(None), use))
 
 
-@reads(router, "/v1/antennas/bad", BadAntennasAnswer)
+@reads(router, "/v1/antennas/bad", BadAntennasAnswer, takes_turn=True)
 def get_bad_antennas(request: Request, use: UseCases, at: str | None = None, station: str | None = None) -> Response:
     """Antennas not to be used at an instant (now unless given).
 

@@ -107,6 +107,10 @@ class SumStore(Store):
                 with np.load(io.BytesIO(row.arrays), allow_pickle=False) as arrays:
                     yield from_row(Sums, row, scope=parse_scope(row.scope), arrays=dict(arrays))
 
+    def during(self, kind: str, since: Instant, until: Instant) -> Iterator[Sums]:
+        """The blocks of a kind whose windows have a part in [since, until)."""
+        return self.of_kind(kind, (sums.c.until_us > since) & (sums.c.since_us < until))
+
     def digests(self, kind: str) -> list[str]:
         """Hashes of all blocks of a kind that hold something, in order of scope and window."""
         statement = (

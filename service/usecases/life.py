@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from lbacal.instants import format_instant
+import numpy as np
+
+from lbacal.instants import SECOND_US, format_instant
 from lbacal_core.calibration.spreads import serve_reference
 from lbacal_core.curves.reference_chain import CableTable
 from lbacal_core.curves.validity import Instant, Promotion, Scope, Stretch, timeline
@@ -16,12 +19,14 @@ from service.storage.alarms import LOST_PATH, STATES, Alarm, AlarmsAsked, News
 from service.storage.changes import LARGEST_TAKEN_OUT, STEP, Epoch, KeptChange, concerns, split_epochs
 from service.storage.database import Database
 from service.storage.models import Investigation
+from service.storage.sums import DRIFT, Sums
 from service.storage.versions import Version
 from service.usecases.alarms import Alarms
 from service.usecases.calibrations import ByAntenna, find_slow, follow_through, group_by_antenna, select_paths
 from service.usecases.changes import Changes
 from service.usecases.drift import is_of_step
 from service.usecases.models import AdoptedModel, Models
+from service.usecases.watch import YEAR_US, assemble_history
 
 MOST = 1000
 """Versions, alarms and investigations that are looked at; the newest ones."""
@@ -121,8 +126,9 @@ class BadPath:
     Attributes
     ----------
     kind
-        ``silent``: no spectrum since then, while others have many; ``insensitive``: left out of an investigation, as it
-        does not work or hardly hears the sky; ``weak``: its power fell by more than half at a change that is in force.
+        ``silent``: no usable spectrum from then on until after the instant, while others have many; ``insensitive``:
+        left out of an investigation, as it does not work or hardly hears the sky; ``weak``: its power fell by more than
+        half at a change that is in force.
     source
         Where that stands: a path of the API.
     """
@@ -141,15 +147,43 @@ def list_bad(
     paths = select_paths(instrument, station, None, None)
     with database.read() as stores:
         alarms = stores.alarms.newest(AlarmsAsked(STATES, MOST, kind=LOST_PATH, station=station), instant)
+        years = [one for one in stores.sums.during(DRIFT, instant - YEAR_US, instant + YEAR_US) if one.arrays]
         made = stores.investigations.newest_covering(instant, station)
         changes, answers = stores.changes.kept(station), stores.ledger.answers(paths, instant, None)
-    found = [*_silent(alarms, paths, instant), *_insensitive(made), *_weak(changes, paths, instant)]
+    silent, measured = _find_silent(years, instant) if years else ([], set())
+    silent += [one for one in _read_silent(alarms, paths, instant) if one.path not in measured]
+    found = [*silent, *_insensitive(made), *_weak(changes, paths, instant)]
     order = {path: number for number, path in enumerate(paths)}
     bad = sorted((one for one in found if one.path in order), key=lambda one: (order[one.path], one.kind))
     return bad, sum(bool(said) and said[-1].calibration is not None for said in answers.values())
 
 
-def _silent(alarms: Sequence[Alarm], paths: Sequence[Scope], instant: Instant) -> Iterator[BadPath]:
+def _find_silent(years: Sequence[Sums], instant: Instant) -> tuple[list[BadPath], set[Scope]]:
+    """Find the paths that were not measured about an instant while others were, and all that were before it.
+
+    The dates of the data count, whenever these came.
+    """
+    from lbacal_core.drift.report import SILENT_EVENTS
+
+    history, silent, measured = assemble_history(years, {}), list[BadPath](), set[Scope]()
+    time_us = np.round(history.time_unix * SECOND_US).astype(np.int64).tolist()
+    now = bisect_right(time_us, instant)
+    owners = zip(history.station.tolist(), history.antenna.tolist(), history.dipole.tolist(), strict=True)
+    for owner, is_known in zip(owners, np.isfinite(history.ln_c[..., 0]), strict=True):
+        path, before, later = Scope(*owner), np.flatnonzero(is_known[:now]), np.flatnonzero(is_known[now:])
+        if not before.size:
+            continue
+        measured.add(path)
+        last, following = int(before[-1]), now + int(later[0]) if later.size else len(time_us)
+        if following - last > SILENT_EVENTS:
+            sentence = f"no spectrum that sees the sky since {format_instant(time_us[last])[:10]}"
+            sentence += f" until {format_instant(time_us[following])[:10]}" if later.size else ""
+            silent.append(BadPath(path, "silent", time_us[last], sentence, f"/v1/paths/{path.key}/life"))
+    return silent, measured
+
+
+def _read_silent(alarms: Sequence[Alarm], paths: Sequence[Scope], instant: Instant) -> Iterator[BadPath]:
+    """The paths that alarms name."""
     by_key = {path.key: path for path in paths}
     for one in alarms:
         since = one.news.since
