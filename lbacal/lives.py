@@ -31,7 +31,7 @@ def tell_life(found: Mapping[str, Any]) -> list[tuple[str, str]]:
             f"version {one['calibration'][:12]} answers until {one['to'] or 'open'}" + _tell_factor(one.get("factor")),
         ),
         "withdrawals": lambda one: (one["at"], _tell_withdrawal(one)),
-        "changes": lambda one: (one["at"]["value"], f"change {one['id']}, {one['decision'].replace('_', ' ')}"),
+        "changes": lambda one: (one["at"]["value"], f"change {one['id']}, {tell_state(one)}"),
         "causes": lambda one: (one["at"], f"{one['act']}: {one['changed']}"),
         "alarms": lambda one: (one["raised_at"], f"alarm {one['alarm']} ({one['state']}): {one['sentence']}"),
         "investigations": lambda one: (one["made_at"], f"investigation {one['id'][:12]}: {one['verdict']}"),
@@ -39,6 +39,12 @@ def tell_life(found: Mapping[str, Any]) -> list[tuple[str, str]]:
     lines = [tell(one) for name, tell in told.items() for one in found.get(name, ())]
     # without the Z, which stands behind the point of a part of a second
     return [(at[:10], words) for at, words in sorted(((at or "").removesuffix("Z"), words) for at, words in lines)]
+
+
+def tell_state(change: Mapping[str, Any]) -> str:
+    """State of a change: ended, or the decision, and whether windows that it cuts wait."""
+    state = "ended" if change["ended_at"] else change["decision"].replace("_", " ")
+    return state + ("" if change["refitted"] else ", not yet refitted")
 
 
 def _tell_withdrawal(one: Mapping[str, Any]) -> str:

@@ -11,7 +11,7 @@ from lbacal.cli.client import Antenna, Dipole, Station
 from lbacal.cli.ledger import DryRun, Reason, print_act
 from lbacal.cli.outputs import Json, show, show_each
 from lbacal.client import Client
-from lbacal.lives import ask_life, tell_life
+from lbacal.lives import ask_life, tell_life, tell_state
 from lbacal_core.errors import BadInputError
 
 changes = typer.Typer(invoke_without_command=True)
@@ -94,17 +94,10 @@ def print_change(one: dict[str, Any]) -> None:
     dipoles = {path.get("dipole") for path in one["paths"] or ()}
     letter = dipoles.pop() if len(dipoles) == 1 else None
     who = (one["station"] or "array") + (f" antenna {named}" if named else "") + (f" {letter}" if letter else "")
-    value, sigma = (100 * (one["size"] or {}).get(name, 0.0) for name in ("value", "sigma"))
-    size = (
-        ""
-        if one["size"] is None
-        else f", C by {value:+.1f} ± {sigma:.1f} %" + (" a year" if one["kind"] == "ramp" else "")
-    )
-    state = "ended" if one["ended_at"] else one["decision"].replace("_", " ")
-    state += "" if one["refitted"] else ", not yet refitted"
+    size = f", C by {one['in_words']}" if one["in_words"] else ""
     by = ", ".join(dict.fromkeys(source["from"] for source in one["evidence"] if source["ended_at"] is None))
     date = f"{one['at']['value'][:10]} ± {one['at']['sigma_days']:.1f} d"
-    print(f"{one['id']} {who}, {one['kind']} at {date}{size} ({state}{'; found by ' + by if by else ''})")
+    print(f"{one['id']} {who}, {one['kind']} at {date}{size} ({tell_state(one)}{'; found by ' + by if by else ''})")
     if one["reason"] != f"found by {one['by']}":
         print(f"  {one['by']}: {one['reason']}")
 

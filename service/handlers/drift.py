@@ -31,6 +31,7 @@ from service.storage.alarms import ACKNOWLEDGED, OPEN, STATES, Alarm, AlarmsAske
 from service.storage.changes import Change, Evidence, KeptChange, concerns
 from service.usecases.calibrations import select_paths
 from service.usecases.drift import DriftSeries, MonthPoint, Step
+from service.usecases.gate import tell_size
 from service.usecases.keys import Caller
 from service.wire import answer_models as wire
 from service.wire.answers import describe_scope, fill_answer
@@ -233,5 +234,6 @@ def describe_change(kept: KeptChange, use: Factory) -> dict[str, Any]:
         evidence=[_describe_evidence(one) for one in kept.evidence],
         by=first.source if said is None else said.by,
         reason=f"found by {first.source}" if said is None else said.reason,
+        in_words=tell_size(change, use.calibrations.instrument.frequency_mhz),
         cuts_windows=bool(kept.cuts),
     )  # fmt: skip

@@ -156,10 +156,10 @@ def show_overview(request: Request, use: UseCases, span: InSpan, csv: CsvQuery =
 
 
 def _significance(one: KeptChange) -> float:
-    """Size over error; of a change without a size, how significant its sources found it."""
+    """Size over error, in the mean or along frequency; without a size, how significant its sources found it."""
     size, sigma = one.change.size, one.change.size_sigma
     if size is not None and sigma:
-        return abs(size) / sigma
+        return max(map(abs, (size, one.change.tilt or 0.0, one.change.curvature or 0.0))) / sigma
     return max((by.significance or 0.0 for by in one.evidence), default=0.0)
 
 

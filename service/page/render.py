@@ -20,7 +20,7 @@ from lbacal_core.errors import name_path, write_chance, write_change, write_perc
 from service.errors import NotFoundError
 from service.page import charts
 from service.page.charts import EVERYTHING
-from service.usecases.gate import name_members, split_by_size, tell_shapes
+from service.usecases.gate import name_members, split_by_size, tell_shapes, tell_size
 
 # Files of the page under names that hold their hash: a browser may keep them for ever, and never shows an old one.
 
@@ -87,7 +87,13 @@ def _environment() -> Environment:
     environment.filters |= {"day": format_day, "moment": format_moment, "percent": format_percent, "scope": name_scope}
     environment.filters["days"] = format_days
     environment.filters |= {"short": lambda text: text[:10], "chance": write_chance, "change": write_change}
-    environment.filters |= {"members": name_members, "shapes": tell_shapes, "sizes": split_by_size, **FILTERS}
+    environment.filters |= {
+        "members": name_members,
+        "shapes": tell_shapes,
+        "sizes": split_by_size,
+        "amount": tell_size,
+        **FILTERS,
+    }
     environment.filters |= {"whose": charts.name_members, "address": charts.address_of}
     environment.globals["assets"] = {name: asset.url for name, asset in load_assets().items()}
     return environment

@@ -263,6 +263,12 @@ class KeptChange:
         return PROPOSED if all(one.source == INVESTIGATION for one in say_so) else IN_FORCE
 
     @property
+    def state(self) -> str:
+        """Its state in words: ended, not yet refitted, or the decision."""
+        decided = self.decision.replace("_", " ") if self.is_refitted else NOT_REFITTED
+        return decided if self.ended is None else "ended"
+
+    @property
     def stands(self) -> bool:
         """Whether it is in force, and somebody still says so."""
         return self.decision == IN_FORCE and self.ended is None

@@ -26,7 +26,7 @@ from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import BadInputError, write_change, write_percent
 from lbacal_core.grids import Floats, require_same_grid
-from service.storage.changes import SAME_DATE, Cut
+from service.storage.changes import RAMP, SAME_DATE, Change, Cut
 from service.storage.ledger import LedgerStore
 from service.storage.models import ModelChange
 from service.storage.versions import OF_OTHERS, Version, mean_over_band
@@ -149,9 +149,9 @@ def _total_error(curve: CalibrationCurve) -> Floats:
 
 PLAIN, LEAST_SHARE = 3.0, 1.0 / 3.0
 """A part beside the most significant one is told from so many standard deviations on, and from this share of it."""
-TILT = "tilt"
+TILT, CURVATURE = "tilt", "curvature"
 Shape = Mapping[str, Mapping[str, float]]
-"""Tilt and curvature of ln C by their names, each a `value` with its `sigma`."""
+"""Tilt and curvature of ln C by their names, each a `value` with its `sigma` where that is known."""
 
 
 @dataclass(frozen=True)
@@ -203,34 +203,47 @@ def name_members(members: Sequence[Mapping[str, Any]], most: int) -> str:
 
 def tell_change(mean: float, sigma: float, shape: Shape, frequency_mhz: Floats) -> str:
     """By how much C changed, `mean` over the band with its error and along frequency: ``-3.10 ± 0.20 %``."""
-    of_mean = abs(mean) / sigma
-    shapes = _rank_shapes(of_mean, shape, frequency_mhz)
-    whole = _Part(of_mean, write_change(mean, sigma) + (" in the mean over the band" if shapes else ""))
+    shapes = _rank_shapes(mean, sigma, shape, frequency_mhz)
+    whole = _Part(abs(mean) / sigma, write_change(mean, sigma) + (" in the mean over the band" if shapes else ""))
     return " and by ".join(part.words for part in sorted([whole, *shapes], key=lambda part: -part.significance))
 
 
 def tell_shapes(change: Mapping[str, Any], frequency_mhz: Floats) -> str:
     """Describe changes along frequency beside the mean over the band; empty where the mean describes them."""
-    of_mean = abs(change["size"]) / change["sigma"]
-    return " and ".join(part.words for part in _rank_shapes(of_mean, change["shape"], frequency_mhz))
+    shapes = _rank_shapes(change["size"], change["sigma"], change["shape"], frequency_mhz)
+    return " and ".join(part.words for part in shapes)
 
 
-def _rank_shapes(of_mean: float, shape: Shape, frequency_mhz: Floats) -> list[_Part]:
-    """The shapes that are told beside a mean of some significance, the most significant first."""
+def tell_size(change: Change, frequency_mhz: Floats) -> str:
+    """By how much C changed at a change on record, in the words of its alarm; empty where its size is not known."""
+    size, sigma = change.size, change.size_sigma or 0.0
+    if size is None:
+        return ""
+    shape = {name: {"value": value} for name in (TILT, CURVATURE) if (value := getattr(change, name)) is not None}
+    told = tell_change(size, sigma, shape, frequency_mhz) if sigma else write_change(size, sigma)
+    return told + (" a year" if change.kind == RAMP else "")
+
+
+def _rank_shapes(mean: float, sigma: float, shape: Shape, frequency_mhz: Floats) -> list[_Part]:
+    """The shapes that are told beside a mean with its error, the most significant first; without an error by that."""
     found = [
-        _Part(abs(one["value"]) / one["sigma"], _tell_shape(name, one["value"], one["sigma"], frequency_mhz))
+        _Part(
+            abs(one["value"]) / one.get("sigma", sigma),
+            _tell_shape(name, one["value"], one.get("sigma"), frequency_mhz),
+        )
         for name, one in shape.items()
     ]
-    most = max([of_mean, *(part.significance for part in found)])
+    most = max([abs(mean) / sigma, *(part.significance for part in found)])
     least = min(most, max(PLAIN, LEAST_SHARE * most))
     told = [part for part in found if part.significance >= least]
     return sorted(told, key=lambda part: -part.significance)
 
 
-def _tell_shape(name: str, value: float, sigma: float, frequency_mhz: Floats) -> str:
-    """A shape of ln C, with its error where it is largest."""
+def _tell_shape(name: str, value: float, sigma: float | None, frequency_mhz: Floats) -> str:
+    """A shape of ln C, with its error, if that is known, where it is largest."""
     bottom, top = f"{frequency_mhz[0]:.0f}", f"{frequency_mhz[-1]:.0f}"
-    largest = write_change(math.expm1(value), math.exp(value) * sigma)
+    size = math.expm1(value)
+    largest = write_percent(size) if sigma is None else write_change(size, math.exp(value) * sigma)
     if name == TILT:
         return f"a tilt ({largest} at {top} MHz, {write_percent(math.expm1(-value))} at {bottom} MHz)"
     return f"a curvature ({largest} at {bottom} and {top} MHz, {write_percent(math.expm1(-value / 2))} halfway)"

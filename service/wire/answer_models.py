@@ -608,6 +608,7 @@ class PathChangeAnswer(Answer):
     kind: Literal["step", "ramp", "season", "course"]
     size: SizeAnswer | None = Field(description="of a ramp, in a year; of a season, its amplitude")
     shape: list[float] | None = Field(description="the same along frequency")
+    in_words: str = Field(description="by how much C changed, along frequency where that is plain")
     evidence: list[EvidenceAnswer]
     decision: Literal["proposed", "in_force", "dismissed"]
     by: str

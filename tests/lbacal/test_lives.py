@@ -7,7 +7,13 @@ from lbacal.lives import tell_life
 def test_what_happened_on_one_day_stands_in_the_order_of_its_time() -> None:
     """It stood in the order of the alphabet."""
     alarm = {"raised_at": "2014-05-01T09:00:00Z", "alarm": 1, "state": "open", "sentence": "CS001 is wrong"}
-    change = {"at": {"value": "2014-05-01T06:45:00Z"}, "id": 3, "decision": "in_force"}
+    change = {
+        "at": {"value": "2014-05-01T06:45:00Z"},
+        "id": 3,
+        "decision": "in_force",
+        "ended_at": None,
+        "refitted": True,
+    }
     version = {"from": None, "to": "2014-05-01T06:45:00Z", "calibration": "ab" * 32}
     found = {"in_effect": [version], "changes": [change], "causes": [], "alarms": [alarm], "investigations": []}
     assert [at for at, _ in tell_life(found)] == ["", "2014-05-01", "2014-05-01"]
@@ -36,7 +42,7 @@ def test_a_change_of_one_dipole_is_told_with_its_letter(
             "station": "CS003",
             "paths": [{"antenna": 1, "dipole": one} for one in paths],
             "kind": "step",
-            "size": None,
+            "in_words": "",
             "at": {"value": "2015-09-03T12:00:00Z", "sigma_days": 0.0},
             "ended_at": None,
             "decision": "in_force",

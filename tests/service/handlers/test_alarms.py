@@ -284,10 +284,10 @@ def test_a_change_is_entered_decided_and_stands_in_the_life_of_its_path(
     tried = run("changes", "decide", "1", "--dismiss", "--reason", "it was none", "--dry-run")
     assert "(dry run: nothing was written)" in tried
     told = run("life", "CS001/0/X")
-    assert "2014-05-01 change 1, in force\n" in told
+    assert "2014-05-01 change 1, in force, not yet refitted\n" in told
     assert told.endswith("versions: 3, epochs: 2\n"), "of which one was promoted"
     found = lbacal.life("CS001", antenna=0, dipole="X")
-    assert [row[1] for row in found.rows if row[0] == "2014-05-01"] == ["change 1, in force"]
+    assert [row[1] for row in found.rows if row[0] == "2014-05-01"] == ["change 1, in force, not yet refitted"]
     found.save(tmp_path / "life.json")
     found.save(tmp_path / "life.png")
     assert json.loads((tmp_path / "life.json").read_text()) == found.content
@@ -306,6 +306,29 @@ STEP: dict[str, Any] = {
     "latest_unix": 1.41e9, "size": 0.05, "sigma": 0.01, "shape": {}, "significance": 5.0,
     "members": [{"antenna": 1, "dipole": "X"}],
 }  # fmt: skip
+
+
+def test_a_change_along_frequency_was_told_by_its_mean_alone_and_one_that_ended_as_in_force(
+    factory: Factory, client: TestClient, stored: dict[str, Version], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    promote(client, stored["path"], "2014-01-01")
+    monkeypatch.setattr(cli_life, "Client", lambda: _Asking(client))
+
+    def run(*arguments: str) -> str:
+        return CliRunner().invoke(app, list(arguments)).output
+
+    tilt = Change("CS001", ((0, "X"),), "step", DATE, DAY_US, -0.009, 0.002, tilt=-0.149)
+    with factory.database.write() as stores:
+        kept = stores.changes.note(tilt, Evidence(DRIFT, "", 444.0, factory.clock()))
+    words = "C by a tilt (-13.84 % at 80 MHz, +16.07 % at 30 MHz) and by -0.90 ± 0.20 % in the mean over the band"
+    assert words in run("changes"), "as its alarm says, and not only the mean"
+    page = client.get("/paths/CS001/0/X").text
+    assert words in page
+    assert words.removeprefix("C by ") in client.get("/").text
+    with factory.database.write() as stores:
+        stores.changes.end(kept.number, DRIFT, factory.clock())
+    assert "change 1, ended\n" in run("life", "CS001/0/X"), "it was said to be in force"
+    assert "change 1, ended" in client.get("/paths/CS001/0/X").text
 
 
 def test_a_step_is_told_of_its_path_its_station_and_the_array_alone(factory: Factory, client: TestClient) -> None:
