@@ -233,7 +233,7 @@ class Decision:
 class KeptChange:
     """A change on record with its evidence and the decisions about it, oldest first.
 
-    `is_refitted`: no version in effect answers on both sides of a date at which it cuts windows.
+    `is_refitted`: no version that was fitted over a date at which it cuts windows answers on both sides of it.
     """
 
     number: int

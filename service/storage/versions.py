@@ -197,6 +197,10 @@ class Version:
         seconds = instant / SECOND_US
         return None if chain is None else chain.cables.cable_of(str(path.station), int(str(path.antenna)), seconds)
 
+    def is_over(self, instant: Instant) -> bool:
+        """Whether its window has a part on both sides of an instant."""
+        return self.since < instant < self.until
+
     def serve(self, path: Scope, instant: Instant) -> ServedCurve:
         """The curve as a path is served it, through the cable that the path has at an instant."""
         station, antenna, dipole = str(path.station), int(str(path.antenna)), str(path.dipole)

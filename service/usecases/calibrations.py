@@ -282,8 +282,9 @@ class Calibrations:
             scope, epoch = promotion.scope, _find_epoch(path, at, of_antenna, records)
             alike = path.widening[: path.widening.index(scope) + 1]
             between = epoch, next((waits[one] for one in alike if one in waits), None)
-            over = [cut.warning for cut in cuts[scope] if bridging.get((scope, cut.date)) == promotion.calibration]
-            changed = next(iter([*over, *left_out.get(path, [])]), None)
+            over = [cut for cut in cuts[scope] if bridging.get((scope, cut.date)) == promotion.calibration]
+            warnings = [*(_warn_over(cut, promotion, version, at) for cut in over), *left_out.get(path, [])]
+            changed = next(filter(None, warnings), None)
             slow = find_slow(scope, of_antenna)
             served, step = (promotion, is_held, trace), at // SLOW_STEP_US
             followed = slow, step * SLOW_STEP_US + SLOW_STEP_US // 2 if slow else None
@@ -382,6 +383,16 @@ def _list_cuts(scope: Scope, of_antenna: ByAntenna) -> list[Cut]:
     """The cuts of the windows of a scope."""
     own = _of(of_antenna, scope.station, scope.antenna)
     return [cut for one in own for cut in one.cuts if cut.antenna in (None, scope.antenna)]
+
+
+def _warn_over(cut: Cut, said: Promotion, version: Version, at: Instant) -> str | None:
+    """A warning about C while one version answers on both sides of a change; None on the side that it is of."""
+    if version.is_over(cut.date):
+        return cut.warning
+    who, day = name_path(cut.station, cut.antenna), format_instant(cut.date)[:10]
+    side = "before" if version.until <= cut.date else "after"
+    told = f"{who} changed on {day}: {said.by} put a version of {side} it into effect over it ({said.reason})"
+    return None if (at < cut.date) == (side == "before") else told
 
 
 def _find_epoch(path: Scope, at: Instant, of_antenna: ByAntenna, records: Sequence[AntennaRecord]) -> Epoch:

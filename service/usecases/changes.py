@@ -54,13 +54,17 @@ WORDS = {IN_FORCE: "in force", DISMISSED: "dismissed"}
 
 
 def mark_refitted(stores: Stores, changes: Sequence[KeptChange], dipoles: Collection[str]) -> list[KeptChange]:
-    """Changes with whether they are refitted: one whose antennas have versions in effect may not be."""
+    """Changes with whether they are refitted: one whose antennas have versions in effect may not be.
+
+    A version of before or after it that a person put into effect over it is no fit that is missing.
+    """
     asked = {
         (one.number, (Scope(cut.station, cut.antenna, None if cut.antenna is None else dipole), cut.date))
         for one in changes for cut in one.cuts for dipole in dipoles
     }  # fmt: skip
     bridging = stores.ledger.bridging(place for _, place in asked)
-    waiting = {number for number, place in asked if place in bridging}
+    versions = stores.versions.get_many(bridging.values())
+    waiting = {number for number, place in asked if place in bridging and versions[bridging[place]].is_over(place[1])}
     return [replace(one, is_refitted=one.number not in waiting) for one in changes]
 
 

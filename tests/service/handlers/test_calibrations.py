@@ -60,6 +60,19 @@ def test_a_path_asked_for_again_costs_four_statements_and_no_transaction(
     assert len(statements) == 4, "who answers, which changes are known, what waits, and which spectra are left out"
 
 
+def test_a_version_that_a_person_put_over_a_change_is_told_as_that(
+    client: TestClient, stored: Stored, factory: Factory
+) -> None:
+    """It was said to be the mean over a change that was not yet refitted."""
+    body = {"paths": [{"station": "CS001", "antenna": 0}], "at": {"value": "2015-03-01"}, "reason": "test"}
+    assert client.post("/v1/changes", json=body).status_code == 201
+    promote(client, stored["path"], "2014-01-01")
+    reasons = [ask(client, at, **PATH).json()["curves"][0]["flag_reason"] for at in ("2015-02-28", "2015-06-01")]
+    said = "CS001 antenna 0 changed on 2015-03-01: key 1 put a version of before it into effect over it (test)"
+    assert reasons == [None, said]
+    assert factory.changes.waiting() == []
+
+
 def test_the_narrowest_scope_in_effect_answers_and_says_so(client: TestClient, stored: Stored) -> None:
     promote(client, stored["array"], "2013-01-01")
     promote(client, stored["station"], "2014-01-01", "2015-01-01")
