@@ -161,13 +161,17 @@ class _Part:
 
 
 def drop_noise(report: dict[str, Any]) -> dict[str, Any]:
-    """The report of a watch without members of changes that are below its threshold.
+    """The report of a watch without members of changes that are below its threshold, and with every path once.
 
     Among few antennas the median of a station follows the step of one, and the search finds another one stepping the
     other way. Once the medians are settled, what is left of that is noise.
     """
     threshold = report["threshold_sigma"]
     for change in report["changes"]:
+        once = dict[tuple[int | None, str], dict[str, Any]]()
+        for one in change["members"]:
+            once.setdefault((one["antenna"], one["dipole"]), one)
+        change["members"] = list(once.values())
         if not change["is_known"]:
             first, *others = change["members"]
             change["members"] = [first, *(one for one in others if one["significance"] >= threshold)]

@@ -263,3 +263,12 @@ def test_noise_beside_a_step_was_told_as_a_step_and_cut_the_windows_of_a_sound_a
     for is_known, kept in ((False, [1, 0]), (True, [1, 2, 0])):
         report = {"threshold_sigma": 3.9, "changes": [{"is_known": is_known, "members": list(members)}]}
         assert [one["antenna"] for one in drop_noise(report)["changes"][0]["members"]] == kept
+
+
+def test_an_alarm_named_a_path_twice_that_stepped_twice_within_the_error_of_the_date():
+    """It read "3 together (antenna 6 X, antenna 6 Y, antenna 6 Y)"."""
+    members = [
+        {"antenna": 6, "dipole": dipole, "significance": found} for dipole, found in zip("XYY", (10, 8, 6), strict=True)
+    ]
+    report = {"threshold_sigma": 5.0, "changes": [{"is_known": False, "members": members}]}
+    assert drop_noise(report)["changes"][0]["members"] == members[:2]
