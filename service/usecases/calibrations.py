@@ -19,7 +19,7 @@ from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import Remembered
 from service.errors import NotInEffectError
 from service.storage.alarms import LeftOut
-from service.storage.changes import Cut, Epoch, KeptChange, concerns, split_epochs
+from service.storage.changes import DISMISSED, STEP, Cut, Epoch, KeptChange, concerns, split_epochs
 from service.storage.database import Database
 from service.storage.ledger import Neighbours
 from service.storage.versions import Version, Waiting
@@ -63,6 +63,8 @@ class CurveInEffect:
         The time between changes in force in which the instant lies.
     waiting
         A version that would answer here but for the gate; not told of the past of the ledger.
+    dismissed
+        The changes that a person dismissed, which would cut the version's window or would be followed.
     slow, followed_at
         The ramps and seasons in force that C follows, and the instant at which it does; none and None where there are
         none.
@@ -78,6 +80,7 @@ class CurveInEffect:
     changed: str | None
     epoch: Epoch
     waiting: Waiting | None
+    dismissed: tuple[KeptChange, ...]
     slow: tuple[KeptChange, ...]
     followed_at: Instant | None
     version: Version = field(compare=False, repr=False)
@@ -109,7 +112,13 @@ class CurveInEffect:
         ]
         named = " and ".join(f"change {one.number} ({one.change.kind})" for one in self.slow)
         followed = f"; C follows {named}, which adds an error of {100.0 * served.error:.2f} %" if named else ""
-        waits = "" if self.waiting is None else f"; {self.waiting.sentence}"
+        dismissed = [
+            f"; change {one.number} ({one.change.kind}) of {format_instant(one.change.date)[:10]} was dismissed "
+            f"{format_instant(one.said.at)[:19]}Z by {one.said.by} ({one.said.reason})"
+            for one in self.dismissed
+            if one.said is not None
+        ]
+        waits = [] if self.waiting is None else [f"; {self.waiting.sentence}"]
         ends = [
             f"{'a record of the instrument' if number is None else f'change {number}'} of {format_instant(date)[:10]} "
             f"{does} its epoch"
@@ -119,7 +128,8 @@ class CurveInEffect:
         return (
             f"made {format_instant(made.made)[:19]}Z by {made.made_by} ({made.reason}), in effect since "
             f"{format_instant(acted.at)[:19]}Z by {acted.by} ({acted.reason}); "
-            f"{' and '.join(ends) or 'no change in force bounds its epoch'}{followed}{''.join(withdrawn)}{waits}"
+            f"{' and '.join(ends) or 'no change in force bounds its epoch'}{followed}"
+            f"{''.join([*dismissed, *withdrawn, *waits])}"
         )
 
 
@@ -249,7 +259,7 @@ class Calibrations:
         near = next(iter(stations)) if len(stations) == 1 else None
         asked, kept = self.database.ask(lambda s: (s.ledger.answers(paths, at, as_of), s.changes.kept(near, as_of)))
         waits, left_out = ({}, {}) if as_of is not None else self._ask_of_now(at, None if near is None else paths)
-        of_antenna = group_by_antenna(kept)
+        of_antenna, dismissed = group_by_antenna(kept), [one for one in kept if one.decision == DISMISSED]
         answers = _pick_decisive(asked)
         held: Mapping[Scope, Promotion] = {}
         if len(answers) < len(paths) and (hold or not answers):
@@ -281,7 +291,8 @@ class Calibrations:
             records = () if chain is None else chain.cables.records.get(path.parts[:2], ())
             scope, epoch = promotion.scope, _find_epoch(path, at, of_antenna, records)
             alike = path.widening[: path.widening.index(scope) + 1]
-            between = epoch, next((waits[one] for one in alike if one in waits), None)
+            waiting = next((waits[one] for one in alike if one in waits), None)
+            between = epoch, waiting, _find_dismissed(dismissed, scope, version)
             over = [cut for cut in cuts[scope] if bridging.get((scope, cut.date)) == promotion.calibration]
             warnings = [*(_warn_over(cut, promotion, version, at) for cut in over), *left_out.get(path, [])]
             changed = next(filter(None, warnings), None)
@@ -383,6 +394,17 @@ def _list_cuts(scope: Scope, of_antenna: ByAntenna) -> list[Cut]:
     """The cuts of the windows of a scope."""
     own = _of(of_antenna, scope.station, scope.antenna)
     return [cut for one in own for cut in one.cuts if cut.antenna in (None, scope.antenna)]
+
+
+def _find_dismissed(dismissed: Iterable[KeptChange], scope: Scope, version: Version) -> tuple[KeptChange, ...]:
+    """The dismissed changes of a scope that would cut the window of its version, or that C would follow."""
+    return tuple(
+        one
+        for one in dismissed
+        if one.ended is None and one.change.station in (None, scope.station)
+        and (not one.change.paths or scope.antenna in one.change.antennas)
+        and (one.change.kind != STEP or version.is_over(one.change.date))
+    )  # fmt: skip
 
 
 def _warn_over(cut: Cut, said: Promotion, version: Version, at: Instant) -> str | None:

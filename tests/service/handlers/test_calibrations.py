@@ -60,6 +60,20 @@ def test_a_path_asked_for_again_costs_four_statements_and_no_transaction(
     assert len(statements) == 4, "who answers, which changes are known, what waits, and which spectra are left out"
 
 
+def test_why_names_the_step_that_a_person_dismissed(client: TestClient, stored: Stored) -> None:
+    """The alarm and the life of the path named it, and what is served as the mean over it did not."""
+    body = {"paths": [{"station": "CS001", "antenna": 0}], "at": {"value": "2014-07-01"}, "reason": "test"}
+    assert client.post("/v1/changes", json=body).status_code == 201
+    promote(client, stored["path"], "2014-01-01", "2015-01-01")
+    promote(client, stored["station"], "2014-01-01", "2015-01-01")
+    body = {"decision": "dismissed", "reason": "it was snow"}
+    assert client.post("/v1/changes/1/decision", json=body).status_code == 201
+    (own, other) = (ask(client, "2014-03-01", **PATH | {"antenna": a}).json()["curves"][0]["why"] for a in (0, 1))
+    assert "; change 1 (step) of 2014-07-01 was dismissed 20" in own
+    assert own.endswith("by key 1 (it was snow)")
+    assert "dismissed" not in other
+
+
 def test_a_version_that_a_person_put_over_a_change_is_told_as_that(
     client: TestClient, stored: Stored, factory: Factory
 ) -> None:
