@@ -342,12 +342,15 @@ class Epoch:
     """A time [start, end) in which nothing changed that is in force or on record.
 
     `because` and `ended_by` are the changes there; None where a record of the instrument begins or ends, or it is open.
+    `start_sigma` and `end_sigma` are the errors of their dates.
     """
 
     start: Instant | None
     end: Instant | None
     because: int | None
     ended_by: int | None
+    start_sigma: int = 0
+    end_sigma: int = 0
 
 
 def split_epochs(scope: Scope, changes: Iterable[KeptChange], records: Iterable[AntennaRecord] = ()) -> list[Epoch]:
@@ -361,14 +364,17 @@ def split_epochs(scope: Scope, changes: Iterable[KeptChange], records: Iterable[
         Those of a path in the instrument, which cut by themselves.
     """
     ends = (end for one in records for end in (one.since, one.until) if end is not None)
-    dates: dict[Instant, int | None] = {round(end * SECOND_US): None for end in ends}
+    dates: dict[Instant, tuple[int | None, int]] = {round(end * SECOND_US): (None, 0) for end in ends}
     dates |= {
-        one.change.date: one.number
+        one.change.date: (one.number, one.change.sigma)
         for one in changes
         if one.cuts and (scope.antenna is not None or not one.change.paths)
     }
-    edges = [(None, None), *sorted(dates.items()), (None, None)]
-    return [Epoch(start, end, begins, ends) for (start, begins), (end, ends) in pairwise(edges)]
+    edges = [(None, (None, 0)), *sorted(dates.items()), (None, (None, 0))]
+    return [
+        Epoch(start, end, because, ended_by, start_sigma, end_sigma)
+        for (start, (because, start_sigma)), (end, (ended_by, end_sigma)) in pairwise(edges)
+    ]
 
 
 def _sort_cuts(cuts: Iterable[Cut]) -> list[Cut]:

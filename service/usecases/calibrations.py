@@ -119,10 +119,14 @@ class CurveInEffect:
             if one.said is not None
         ]
         waits = [] if self.waiting is None else [f"; {self.waiting.sentence}"]
+        bounds = (
+            (epoch.because, epoch.start, epoch.start_sigma, "begins"),
+            (epoch.ended_by, epoch.end, epoch.end_sigma, "ends"),
+        )
         ends = [
-            f"{'a record of the instrument' if number is None else f'change {number}'} of {format_instant(date)[:10]} "
-            f"{does} its epoch"
-            for number, date, does in ((epoch.because, epoch.start, "begins"), (epoch.ended_by, epoch.end, "ends"))
+            f"{'a record of the instrument' if number is None else f'change {number}'} of {format_instant(date)[:10]}"
+            f"{f' ± {sigma / DAY_US:.1f} days' if sigma else ''} {does} its epoch"
+            for number, date, sigma, does in bounds
             if date is not None
         ]
         return (

@@ -501,7 +501,8 @@ def test_changes_in_force_bound_the_epoch_of_their_antenna_and_are_edges(
         (pinned,) = ask(client, at, as_of=as_of, **PATH).json()["curves"]
         assert pinned["epoch"]["because"] is None, "as it was known then"
     (curve,) = ask(client, **PATH).json()["curves"]
-    assert f"change {first} of 2014-03-01 begins its epoch and change {second} of 2014-09-01 ends it" in curve["why"]
+    begins, ends = (f"change {n} of 2014-{month}-01 ± 1.0 days" for n, month in ((first, "03"), (second, "09")))
+    assert f"{begins} begins its epoch and {ends} ends it" in curve["why"], "C is served up to a date with an error"
     edges = client.get("/v1/calibrations/edges", params={"as_of": format_instant(factory.clock())}).json()["stations"]
     of_station = {one["station"]: one["edges"] for one in edges}
     assert {march, september} <= set(of_station["CS001"])
