@@ -317,9 +317,9 @@ class Calibrations:
     def _ask_of_now(
         self, at: Instant, paths: Sequence[Scope] | None
     ) -> tuple[dict[Scope, Waiting], dict[Scope, list[str]]]:
-        """What waits for a person in windows that hold an instant, of all paths or some, and which paths are warned of.
+        """What waits for a person in windows that hold an instant, of all paths or some, and warnings of paths.
 
-        That are those whose newest spectra are left out of fits.
+        The newest spectra of these are left out of fits.
         """
         scopes = None if paths is None else {scope for path in paths for scope in path.widening}
         waiting, left_out = self.database.ask(lambda s: (s.versions.waiting(scopes, at), s.alarms.left_out()))

@@ -137,7 +137,7 @@ def _find_left_out(stores: Stores, history: History) -> Iterator[dict[str, Any]]
 
     time_us = history.time_unix * SECOND_US
     for (station, antenna, dipole), (_, last) in _list_measured(history).items():
-        if dipole is None or np.sum(time_us > last) < FEWEST_LEFT_OUT:
+        if dipole is None or not np.isfinite(last) or np.sum(time_us > last) < FEWEST_LEFT_OUT:
             continue
         ends = round(last) + EVENT_SPAN_US, round(float(time_us[-1])) + EVENT_SPAN_US
         spectra = stores.spectra.count(Window(*ends, Scope(station, antenna, dipole)))

@@ -15,6 +15,7 @@ from fastapi.testclient import TestClient
 from lbacal.instants import DAY_US, format_instant, parse_instant
 from lbacal_core.causes.model import AdoptedCause, Model
 from lbacal_core.curves.validity import Scope, timeline
+from lbacal_core.drift.follow import History
 from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.sky.table import read_sky_power, write_sky_power
 from lbacal_core.spectra.spectra import Spectra
@@ -36,7 +37,7 @@ from service.usecases.due import DueWork
 from service.usecases.fits import Wanted
 from service.usecases.models import Adoption
 from service.usecases.watch import KIND as WATCH
-from service.usecases.watch import read_changes, settle_changes, tell_news
+from service.usecases.watch import _find_left_out, read_changes, settle_changes, tell_news
 from service.usecases.windows import share_misfits
 from service.wire.bodies import InvestigationBody, ReasonBody
 from tests.service.conftest import get_job, like, night, refit, served, take_another_model, work
@@ -641,3 +642,12 @@ def test_a_watch_whose_events_are_gone_since_it_was_asked_for_ends_without_a_rep
     assert number is not None
     assert get_job(factory, number).state == "done"
     assert factory.database.look(lambda stores: stores.drift.report_made()) is None
+
+
+def test_a_path_of_which_no_event_was_measured_has_no_newest_spectra(factory: Factory) -> None:
+    time_unix, ln_c = 1.4e9 + np.arange(10.0), np.zeros((2, 10, 3), dtype=np.float32)
+    ln_c[1] = np.nan
+    owners = np.array(["CS001", "CS001"]), np.array([0, 1]), np.array(["X", "X"])
+    history = History(*owners, time_unix, ln_c, np.full((2, 0), np.inf))
+    with factory.database.read() as stores:
+        assert list(_find_left_out(stores, history)) == []
