@@ -258,6 +258,7 @@ class Waiting(NamedTuple):
     calibration: str
     scope: Scope
     gate: str
+    made: Instant
 
     @property
     def sentence(self) -> str:
@@ -395,10 +396,10 @@ class VersionStore(Store):
         is_over = and_(_is_promoted_since(calibration.c.since_us), _is_promoted_since(calibration.c.until_us - 1))
         inside = [] if at is None else [calibration.c.since_us <= at, calibration.c.until_us > at]
         inside += [] if scopes is None else [calibration.c.scope.in_({scope.key for scope in scopes})]
-        statement = select(calibration.c.id, calibration.c.scope, calibration.c.gate)
+        statement = select(calibration.c.id, calibration.c.scope, calibration.c.gate, calibration.c.made_us)
         statement = statement.where(IS_GATED, *inside, ~promoted, ~_has_newer(), ~is_over)
         rows = self._connection.execute(statement.order_by(calibration.c.made_us, calibration.c.id))
-        return [Waiting(row.id, parse_scope(row.scope), row.gate) for row in rows]
+        return [Waiting(row.id, parse_scope(row.scope), row.gate, row.made_us) for row in rows]
 
     def means(self, ids: Iterable[str]) -> list[MeanC]:
         """Band means of C of the converged curves of versions, in order of their windows."""

@@ -62,7 +62,8 @@ class CurveInEffect:
     epoch
         The time between changes in force in which the instant lies.
     waiting
-        A version that would answer here but for the gate; not told of the past of the ledger.
+        A version that would answer here but for the gate, narrower than what answers or newer; not told of the past of
+        the ledger.
     dismissed
         The changes that a person dismissed, which would cut the version's window or would be followed.
     slow, followed_at
@@ -294,8 +295,8 @@ class Calibrations:
             chain = version.chains.get(str(path.dipole))
             records = () if chain is None else chain.cables.records.get(path.parts[:2], ())
             scope, epoch = promotion.scope, _find_epoch(path, at, of_antenna, records)
-            alike = path.widening[: path.widening.index(scope) + 1]
-            waiting = next((waits[one] for one in alike if one in waits), None)
+            alike = (waits[one] for one in path.widening[: path.widening.index(scope) + 1] if one in waits)
+            waiting = next((one for one in alike if one.scope != scope or one.made > version.made), None)
             between = epoch, waiting, _find_dismissed(dismissed, scope, version)
             over = [cut for cut in cuts[scope] if bridging.get((scope, cut.date)) == promotion.calibration]
             warnings = [*(_warn_over(cut, promotion, version, at) for cut in over), *left_out.get(path, [])]

@@ -60,6 +60,19 @@ def test_a_path_asked_for_again_costs_four_statements_and_no_transaction(
     assert len(statements) == 4, "who answers, which changes are known, what waits, and which spectra are left out"
 
 
+def test_why_names_no_version_at_the_gate_that_is_older_than_what_answers(
+    client: TestClient, stored: Stored, factory: Factory
+) -> None:
+    promote(client, stored["path"], "2014-01-01", "2014-06-01")
+    for later, is_told in ((-1, False), (1, True)):
+        name, made = f"gated {later}", stored["path"].made + later
+        gated = replace(stored["path"], inputs={"name": name}, made=made, gate="a jump")
+        with factory.database.write() as stores:
+            stores.versions.add([gated])
+        (curve,) = ask(client, "2014-03-01", **PATH).json()["curves"]
+        assert ("waits for a person to promote it (a jump)" in curve["why"]) == is_told
+
+
 def test_why_names_the_step_that_a_person_dismissed(client: TestClient, stored: Stored) -> None:
     """The alarm and the life of the path named it, and what is served as the mean over it did not."""
     body = {"paths": [{"station": "CS001", "antenna": 0}], "at": {"value": "2014-07-01"}, "reason": "test"}
