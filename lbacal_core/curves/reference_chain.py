@@ -24,7 +24,6 @@ from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
-from scipy.special import stdtrit
 
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.antennas import AntennaRecord
@@ -85,10 +84,6 @@ def parse_cable_table(content: Mapping[str, Any]) -> CableTable:
     return CableTable(cables, tuple(AntennaRecord(*row) for row in content["antennas"]))
 
 
-ONE_SIGMA = 0.841345
-"""Probability of a normal below one standard deviation."""
-
-
 @dataclass(frozen=True)
 class GainSpread:
     """How far the power gain A g of paths departs from that of the reference chain, as a fraction of it.
@@ -110,9 +105,11 @@ class GainSpread:
         """Mean square departure of another path, shape (freq,).
 
         Mean and spread are those of n paths: what one more departs follows Student's t with n - 1 degrees of freedom,
-        of (1 + 1/n) the variance; one standard deviation holds as much of it as of a normal.
+        of (1 + 1/n) the variance; one standard deviation holds as much of it as of a normal (Abramowitz & Stegun,
+        eq. 26.7.5, for the normal's 1).
         """
-        widened = float(stdtrit(self.paths - 1, ONE_SIGMA))
+        freedom = self.paths - 1
+        widened = 1.0 + 1.0 / (2 * freedom) + 1.0 / (4 * freedom**2) + 1.0 / (16 * freedom**3)
         return np.asarray(self.offset**2 + widened**2 * (1.0 + 1.0 / self.paths) * self.spread**2)
 
 

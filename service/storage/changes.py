@@ -264,7 +264,7 @@ class KeptChange:
 
     @property
     def state(self) -> str:
-        """Its state in words: ended, not yet refitted, or the decision."""
+        """Say whether it has ended, waits for a refit, or what was decided."""
         decided = self.decision.replace("_", " ") if self.is_refitted else NOT_REFITTED
         return decided if self.ended is None else "ended"
 
