@@ -26,6 +26,8 @@ from lbacal_core.sky.table import SkyPower, read_at
 
 SOURCE_KEYS = {"Cas A": "cas-a", "Cyg A": "cyg-a", "Tau A": "tau-a", "Vir A": "vir-a"}
 EXPONENTS = (0.1, 0.5, 1.0, 1.5)
+LARGEST_LOG = 50.0
+"""Ln of a ratio, at most: a step of a fit far outside these sizes stays finite."""
 """Powers of cos(zenith) at which the ratio is computed; a polynomial through them gives any between."""
 TURNS_DEG = tuple(22.5 * k for k in range(8))
 """Angles over half a turn; the beam of a dipole has nothing above six times the azimuth."""
@@ -108,7 +110,7 @@ def _exponentiate(terms: Floats, amount: Floats) -> Floats:
     value = terms[0] * power
     for term in terms[1:]:
         value = (value + term) * power
-    return np.asarray(np.exp(np.sign(amount) * value))
+    return np.asarray(np.exp(np.clip(np.sign(amount) * value, -LARGEST_LOG, LARGEST_LOG)))
 
 
 def _series(own: SkyPower, turned: Sequence[SkyPower], dipole: str) -> Floats:

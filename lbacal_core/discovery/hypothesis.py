@@ -164,6 +164,8 @@ def trials_factor(correlation: Floats, seed: int, level: float = 0.0) -> float:
     if level <= quantile:
         return float(max(-np.log(QUANTILE) / max(float(erfc(quantile / np.sqrt(2.0))), 1e-300), 1.0))
     seen = np.flatnonzero(np.diag(correlation) > SMALLEST_EIGENVALUE)
+    if not seen.size:  # the data show no template: what is left of each is rounding
+        return 1.0
     tail, at = float(erfc(min(level, LARGEST_LEVEL) / np.sqrt(2.0))), np.arange(DRAWS)
     first = rng.choice(seen, DRAWS)
     beyond = np.sqrt(2.0) * erfcinv(tail * (1.0 - rng.random(DRAWS)))

@@ -223,6 +223,13 @@ def test_channels_that_the_own_models_do_not_cover_have_no_ratios(world):
     assert sky_ratios(outside) == {}
 
 
+@pytest.mark.parametrize("size", [-1e3, 1e3])
+def test_a_power_of_the_cosine_far_outside_those_computed_stays_finite(size, world):
+    """The step of a fit went there where the LST of the sky was wrong, and warned of an overflow."""
+    ratio = sky_ratios(world.instrument)["zenith_weighting"].at("XY", LST)
+    assert np.all(np.isfinite(ratio(np.array(size))))
+
+
 def test_ratios_are_those_of_the_place_the_arms_and_the_antenna_that_are_asked_for(world):
     """They are computed once for each."""
     here = sky_ratios(world.instrument)

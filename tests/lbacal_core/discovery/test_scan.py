@@ -184,6 +184,11 @@ def test_independent_scores_count_each_and_equal_ones_count_once():
     assert trials_factor(np.ones((50, 50)), seed=1) < 1.3
 
 
+def test_templates_of_which_the_data_show_nothing_count_once():
+    """A sky file whose LST was 6 h off left no information on any template, and the search ended in an error."""
+    assert trials_factor(np.zeros((5, 5)), seed=1, level=4.0) == 1.0
+
+
 def test_steps_at_many_dates_are_more_trials_at_a_high_score_than_at_a_low_one():
     """The factor of a low score was taken for all: steps at 5 sigma had half the probability that they have."""
     share = np.arange(1, 200) / 200
