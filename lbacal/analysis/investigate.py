@@ -248,13 +248,14 @@ def _tell(content: Mapping[str, Any]) -> Iterator[str]:
     for one in content["findings"]:
         yield from _tell_finding(one)
     left = content["unexplained"]
-    if left:
+    while left:
         yield f"  {left['description']} ({write_chance(left['p_value'])})"
         if left.get("in_words"):
             yield f"    in words: {left['in_words']}"
         if left.get("would_decide"):
             yield f"    what would decide: {left['would_decide']}"
         yield from (f"    similar to: {one['sentence']}" for one in left["similar_to"])
+        left = left.get("in_others")
 
 
 def _tell_finding(finding: Mapping[str, Any]) -> Iterator[str]:

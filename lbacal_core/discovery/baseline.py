@@ -124,7 +124,7 @@ def leave_out_deaf(station: Station) -> tuple[Station, list[str]]:
             is_kept |= own
     deaf = np.flatnonzero(~is_kept).tolist()
     names = [f"antenna {station.antenna[k]} {station.dipole[k]}" for k in deaf]
-    return (station if not deaf else _select(station, is_kept)), names
+    return (station if not deaf else select_paths(station, is_kept)), names
 
 
 def sky_shares(station: Station) -> Floats:
@@ -136,7 +136,8 @@ def sky_shares(station: Station) -> Floats:
     return np.asarray(np.median(sky / power, axis=1))
 
 
-def _select(station: Station, kept: NDArray[np.bool_]) -> Station:
+def select_paths(station: Station, kept: NDArray[np.bool_]) -> Station:
+    """The station with some of its paths alone."""
     return replace(
         station,
         antenna=station.antenna[kept],

@@ -415,8 +415,30 @@ def grow_findings(first: FittedModel, search: StationSearch) -> Grown:
     The first cause of a large effect may be another one that resembles it, before the right one is found beside it.
     """
     steps = grow(first, search, search.policy.most_findings)
-    models = [first, *(step.candidate.model for step in steps)]
-    named = [step.candidate for step in steps]
+    return weigh([first, *(step.candidate.model for step in steps)], [step.candidate for step in steps], search)
+
+
+def grow_by(first: FittedModel, findings: Sequence[Finding], search: StationSearch) -> Grown:
+    """Grow a model by findings that are known, one after the other, without those that cannot be fitted beside it."""
+    models, named = [first], list[Finding]()
+    for one in findings:
+        after = refit(models[-1], one.hypothesis)
+        if after is not None:
+            models, named = [*models, after], [*named, one]
+    return weigh(models, named, search)
+
+
+def weigh(models: list[FittedModel], named: Sequence[Candidate | Finding], search: StationSearch) -> Grown:
+    """What each hypothesis of the last model adds beside the others, without those that add nothing.
+
+    Parameters
+    ----------
+    models
+        The model as it grew, from the first on.
+    named
+        What each model after the first was grown by.
+    """
+    named = list(named)
     while True:
         without = [_models_without(models, number, search.adopted) for number in range(len(named))]
         findings = [
@@ -440,7 +462,9 @@ def _idle(findings: Sequence[Finding], without: Sequence[Sequence[FittedModel]])
     return number if is_fitted else None
 
 
-def _finding(without: FittedModel, last: FittedModel, number: int, named: Candidate, search: StationSearch) -> Finding:
+def _finding(
+    without: FittedModel, last: FittedModel, number: int, named: Candidate | Finding, search: StationSearch
+) -> Finding:
     """A finding by the last fitted model and the one without it, so that all its numbers are of one model."""
     hypothesis, score = last.hypotheses[number], named.score
     chi2_before, chi2_after, dof = chi_squared_of(without, last)

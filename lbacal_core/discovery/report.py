@@ -378,7 +378,7 @@ def parameter_words(parameters: Mapping[str, Any]) -> list[str]:
 
 
 def _unexplained(structure: ResidualStructure, report: StationReport) -> dict[str, Any]:
-    station = report.station
+    station, rest = report.station, report.rest
     frequency, times = station.conditions.frequency_mhz, station.conditions.time_unix
     strong = frequency[structure.channel_share > 0.5 * structure.channel_share.max()]
     return {
@@ -401,6 +401,7 @@ def _unexplained(structure: ResidualStructure, report: StationReport) -> dict[st
         "term": _term(structure, report),
         **_said(report.description, report),
         "similar_to": [_finding(finding, report) for finding in report.similar],
+        **({} if rest is None or rest.structure is None else {"in_others": _unexplained(rest.structure, rest)}),
     }
 
 

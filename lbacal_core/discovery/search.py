@@ -20,9 +20,9 @@ from lbacal_core.causes.grammar import axis_of, parts_of
 from lbacal_core.causes.model import PLAIN, Model
 from lbacal_core.discovery.adopted import FittedSize, fit_adopted
 from lbacal_core.discovery.antennas import AntennaScore, compare_antennas, compare_cable_names, why_no_comparison
-from lbacal_core.discovery.baseline import leave_out_deaf
+from lbacal_core.discovery.baseline import leave_out_deaf, select_paths
 from lbacal_core.discovery.describe import Description, describe_structure
-from lbacal_core.discovery.findings import Finding, Grown, StationSearch, grow_findings
+from lbacal_core.discovery.findings import Finding, Grown, StationSearch, grow_by, grow_findings
 from lbacal_core.discovery.hypothesis import Hypothesis, Target, list_targets, p_of
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
@@ -32,6 +32,9 @@ from lbacal_core.discovery.scan import Score, shares_taken
 from lbacal_core.discovery.sentences import SENTENCE
 from lbacal_core.discovery.station import SkyModes, Station
 from lbacal_core.linear import invert_symmetric
+
+FEWEST = 3
+"""Antennas that are searched without one in which structure lives: of two, each departs as the other does."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +68,8 @@ class StationReport:
         The causes that were looked for.
     record
         What was wrong with the record, which is put right in all else; and the model under the record as it was.
+    rest
+        The search of the other antennas, where structure in one was left and they have structure of their own.
     """
 
     station: Station
@@ -87,6 +92,7 @@ class StationReport:
     description: Description = field(default_factory=Description)
     significant: Target | None = None
     catalogue: Sequence[Cause] = CAUSES
+    rest: StationReport | None = None
 
 
 def search_station(
@@ -141,6 +147,16 @@ def search_station(
             one for one, seen in zip(findings, is_seen, strict=True) if one is twice or here(one.hypothesis) or not seen
         ]
         findings = [one for one in findings if all(one is not other for other in similar)]
+    rest, others = None, None if structure is None else _leave_out(station, structure)
+    ended = search.again.score if search.again else search.impossible
+    hiding = [one.hypothesis.target for one in (*said, *similar)] + ([ended.target] if ended else [])
+    # what is left when no score of an antenna is significant any more has hidden nothing in another
+    if others is not None and any(one.scope != STATION for one in hiding):
+        rest = search_station(
+            others, modes=modes, stations=stations, seed=seed, policy=policy, progress=progress, model=model,
+            catalogue=catalogue,
+        )  # fmt: skip
+        grown, findings, similar = _join(first, grown, findings, similar, rest, search)
     hidden = [one.cause for one in search.hidden or []]
     standing = _standing(first, grown, findings)
     antenna_scores = compare_antennas(station, standing.baseline, targets, policy, seed, standing.hypotheses)
@@ -164,6 +180,7 @@ def search_station(
         adopted=adopted.sizes,
         catalogue=catalogue,
         significant=search.significant,
+        rest=None if rest is None or rest.structure is None else rest,
     )
 
 
@@ -173,7 +190,8 @@ def put_into_words(report: StationReport, seed: int = 0) -> StationReport:
         return report
     left, targets = _with(report.first, report.findings), list_targets(report.station)
     description = describe_structure(left, report.structure, targets, report.policy, seed, report.significant)
-    return replace(report, description=description)
+    rest = None if report.rest is None else put_into_words(report.rest, seed)
+    return replace(report, description=description, rest=rest)
 
 
 def _name_structure(
@@ -203,6 +221,39 @@ def _find_left(grown: Grown, search: StationSearch, rng: np.random.Generator) ->
     if score is None:
         return find_structure(model.linear, rng, alpha)
     return find_structure(model.linear, rng, alpha, score.p_value, _axes_on_station(score, model.station.conditions))
+
+
+def _leave_out(station: Station, structure: ResidualStructure) -> Station | None:
+    """The station without the antenna in which structure lives; None where it does not live in one, or few are left."""
+    labels = [f"antenna {a} {d}" for a, d in zip(station.antenna, station.dipole, strict=True)]
+    if structure.target not in labels or structure.amounts:
+        return None
+    is_kept = station.antenna != station.antenna[labels.index(structure.target)]
+    is_whole = np.array_equal(np.unique(station.class_of[is_kept]), np.unique(station.class_of))
+    return select_paths(station, is_kept) if is_whole and np.unique(station.antenna[is_kept]).size >= FEWEST else None
+
+
+def _join(
+    first: FittedModel, grown: Grown, findings: list[Finding], similar: list[Finding], rest: StationReport,
+    search: StationSearch,
+) -> tuple[Grown, list[Finding], list[Finding]]:  # fmt: skip
+    """The model, its findings and those withdrawn, with what the antennas show without the one of the structure."""
+    whole = {target.label: target for target in search.targets}
+    known, shown = {_name(one) for one in findings}, list[Finding]()
+    for one in rest.findings:
+        if _name(one) not in known:
+            target = whole[one.hypothesis.target.label]
+            shown.append(replace(one, hypothesis=replace(one.hypothesis, target=target)))
+    if not shown:
+        return grown, findings, similar
+    names = {_name(one) for one in shown}
+    grown = grow_by(first, [*findings, *shown], search)
+    return grown, grown.findings, [one for one in similar if _name(one) not in names]
+
+
+def _name(finding: Finding) -> tuple[str, str]:
+    """What a finding says of whom."""
+    return finding.hypothesis.cause.identifier, finding.hypothesis.target.label
 
 
 def _standing(first: FittedModel, grown: Grown, findings: Sequence[Finding]) -> FittedModel:

@@ -9,7 +9,7 @@ from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.power import compute_sky_power
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.fault import Where
-from lbacal_twin.faults.hardware import GainStep
+from lbacal_twin.faults.hardware import GainDrift, GainStep
 from lbacal_twin.faults.uncatalogued import WorkingWeek
 from tests.lbacal_core.discovery.conftest import SEED, SETTINGS
 
@@ -89,6 +89,29 @@ def test_what_follows_a_column_that_nobody_knows_is_reported_along_it_by_its_nam
     assert report["unexplained"]["where"]["axis"] == "humidity"
     assert report["unexplained"]["where"]["target"] == "station"
     json.dumps(report, allow_nan=False)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("is_known", [True, False])
+def test_what_no_cause_explains_in_one_antenna_hides_nothing_in_another(is_known, clean, spoil, simulation):
+    """A drift of 38 sigma was withdrawn beside two months of half the power in another antenna; a gain that followed
+    the temperature of hours before was told nowhere."""
+    spectra = spoil(GainDrift(size=-0.1, where=Where(antennas=(5,)))) if is_known else clean
+    days = (clean.time_unix - clean.time_unix.min()) / 86400.0
+    is_down = (clean.antenna == 3) & (clean.dipole == "X") & (days > 100) & (days < 160)
+    humidity = np.random.default_rng(5).uniform(-1.0, 1.0, 1 + int(days.max()))[days.astype(int)]
+    unknown = np.where((clean.antenna == 5) & (not is_known), 1.0 + 0.2 * humidity**2, 1.0)
+    power = spectra.power * (np.where(is_down, 0.5, 1.0) * unknown)[:, None]
+    environment = {**clean.environment, "humidity": humidity}
+    report, _ = investigate(replace(spectra, power=power, environment=environment), simulation)
+    left = report["unexplained"]
+    assert left["where"]["target"] == "antenna 3 X"
+    named = [(one["cause"], one["evidence"]["target"]) for one in report["findings"]]
+    assert named == [("gain_drift", "antenna 5")] * is_known
+    assert ("in_others" in left) != is_known
+    if not is_known:
+        assert left["in_others"]["where"]["target"].startswith("antenna 5")
+        assert left["in_others"]["where"]["axis"] == "humidity"
 
 
 @pytest.mark.long
