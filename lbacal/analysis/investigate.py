@@ -247,6 +247,10 @@ def _tell(content: Mapping[str, Any]) -> Iterator[str]:
         yield f"  adopted: {one['cause']} in {whom}, here {value:.3g} ± {sigma:.2g}"
     for one in content["findings"]:
         yield from _tell_finding(one)
+    for one in content.get("stations", []):
+        if one["deaf"]:
+            paths = ", ".join(one["deaf"])
+            yield f"  left out of {one['station']}, as hardly any of their power is that of the sky: {paths}"
     left = content["unexplained"]
     while left:
         yield f"  {left['description']} ({write_chance(left['p_value'])})"

@@ -26,6 +26,8 @@ DEAD_LEVEL = -np.log(10.0)
 """A path with less than a tenth of the others' power sends nothing of the sky."""
 DEAF_SHARE, DEAF_LEVEL = 0.6, -0.25
 """An insensitive path follows less than this of the others' spectrum or of their change with time, and lies lower."""
+HEARS_NOTHING = 0.3
+"""A path at any level that follows less than this of the change of any polarisation hears no sky: as in a search."""
 PEAK, PEAK_SHARE = np.log(2.0), 1 / 3
 """An oscillating path exceeds its own level by a factor 2 in fewer than a third of its channels, and there by more than
 the antennas of its station differ; or it is loud."""
@@ -55,6 +57,8 @@ class Comparison:
         Median of ln P over the others' in time and frequency, and what is left of it along frequency.
     follows
         Slope of a path's change with time on that of the median path; NaN where it does not change enough.
+    most
+        The largest such slope that chance leaves likely, on the median path of any polarisation.
     shares
         Slope of a path's spectrum on the others', both about their means: 1 for a working path, 0 for a flat one.
     """
@@ -62,6 +66,7 @@ class Comparison:
     level: Floats
     profile: Floats
     follows: Floats
+    most: Floats
     shares: Floats
 
 
@@ -81,14 +86,19 @@ def compare_paths(station: AuditedStation) -> Comparison:
     own = np.where(np.isfinite(own), own, np.nan)
     own = own - np.nanmean(own, axis=-1, keepdims=True)
     is_known = np.isfinite(own)
-    variance = np.sum(np.where(is_known, change**2, 0.0), axis=-1)
-    follows = np.sum(np.where(is_known, own, 0.0) * change, axis=-1) / np.where(variance > 0, variance, 1.0)
-    follows[:, change.std(axis=-1) < MEASURABLE] = np.nan
+    own = np.where(is_known, own, 0.0)[:, :, None]
+    change = np.where(is_known[:, :, None], change, 0.0)  # (antenna, dipole, dipole that is followed, time)
+    variance = np.maximum(np.sum(change**2, axis=-1), TINY)
+    slope = np.sum(own * change, axis=-1) / variance
+    left = np.sum((own - slope[..., None] * change) ** 2, axis=-1) / np.maximum(is_known.sum(axis=-1), 1)[..., None]
+    slope[:, :, seen.std(axis=-1) < MEASURABLE] = np.nan
+    follows = np.diagonal(slope, axis1=1, axis2=2)
+    most = np.max(slope + FITS_SIGMA * np.sqrt(left / variance), axis=-1)
     shape = np.median(typical, axis=1) + np.log(station.loss).mean(axis=0)
     shape = shape - shape.mean(axis=-1, keepdims=True)
     contrast = np.sum(shape**2, axis=-1)
     shares = 1.0 + np.sum((difference - level[..., None]) * shape, axis=-1) / np.where(contrast > 0, contrast, 1.0)
-    return Comparison(level, difference - level[..., None], follows, shares)
+    return Comparison(level, difference - level[..., None], follows, most, shares)
 
 
 def find_ill_paths(station: AuditedStation, comparison: Comparison) -> tuple[list[Line], NDArray[np.bool_]]:
@@ -138,7 +148,7 @@ def find_ill_paths(station: AuditedStation, comparison: Comparison) -> tuple[lis
 
 _SENTENCES = {
     "dead": "is dead (a tenth of the others' power at most)",
-    "deaf": "is insensitive (its receiver works, its antenna does not)",
+    "deaf": "is insensitive (its receiver works, its antenna does not, or its power does not follow the sky)",
     "oscillating": "oscillates (strong in part of the band)",
     "clipped": "is clipped (loud, and follows the others' change too little)",
     "outlying": "lies outside what the others do",
@@ -158,7 +168,8 @@ def _name(
     is_peaked = bool(np.any(highest > tallest)) and np.mean(profile > PEAK / 2) < PEAK_SHARE
     kinds = {
         "dead": level < DEAD_LEVEL,
-        "deaf": level < DEAF_LEVEL and is_far and receives < DEAF_SHARE,
+        "deaf": (level < DEAF_LEVEL and is_far and receives < DEAF_SHARE)
+        or (level < LOUD and float(comparison.most[a, d]) < HEARS_NOTHING),
         "clipped": level > LOUD and follows < CLIPPED_SHARE,
         "oscillating": level > LOUD or is_peaked,
         "outlying": (abs(level) > OUTLYING and is_far) or is_odd,

@@ -171,7 +171,9 @@ def test_rivals_and_a_fit_that_has_not_converged_are_told_in_the_terminal_and_on
         "rivals": [{"cause": "point_source", "target": "station", "delta_chi2": 9.2, "odds": 0.01}],
         "sentences": ["The sky moves."],
     }
+    content["stations"][0]["deaf"] = ["antenna 3 X"]
     told, page = "\n".join(_tell(content)), dict(tell_finding(finding))
+    assert "left out of CS002, as hardly any of their power is that of the sky: antenna 3 X" in told
     assert "caution: the fit of all causes together has not converged" in told
     assert "rivals, with their odds to it: point_source (station) 0.01 : 1" in told
     assert "    nearly as likely: The sky moves." in told.splitlines()

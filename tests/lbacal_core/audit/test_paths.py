@@ -182,6 +182,20 @@ def test_a_path_that_does_not_work_is_named_and_no_other(station, kind):
     assert np.argwhere(is_ill).tolist() == [[ANTENNA, DIPOLE]]
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.04])
+def test_a_path_that_does_not_follow_the_sky_at_its_usual_level_is_insensitive_and_not_exchanged(station, noise):
+    """A load in the place of an antenna, as loud as an antenna, was called an exchange of X and Y (ln odds 345)."""
+    rng, power = np.random.default_rng(5), station.power.copy()
+    path = power[ANTENNA, DIPOLE]
+    path[:] = path.mean(axis=0) * np.exp(noise * rng.standard_normal(path.shape))
+    loaded = replace(station, power=power)
+    lines, is_ill = find_ill_paths(loaded, compare_paths(loaded))
+    assert [(line.check, line.antennas, line.dipole) for line in lines] == [("deaf", (ANTENNA,), "Y")]
+    assert not compare_polarisations(loaded, ~is_ill.any(axis=1)).exchanged().size
+    exchanged = exchange(station, ANTENNA)
+    assert find_ill_paths(exchanged, compare_paths(exchanged))[0] == []
+
+
 def test_a_rise_to_the_end_of_the_band_must_be_twice_as_tall_as_a_peak(station):
     nu = station.frequency_mhz
     for centre, factor, kinds in ((55.0, 2.5, ["oscillating"]), (30.0, 2.5, []), (80.0, 6.0, ["oscillating"])):
