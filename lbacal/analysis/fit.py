@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,8 @@ from lbacal.pages.fit import (
 from lbacal.pages.report import list_origin
 from lbacal.with_model import Extended, read_model, read_open_terms
 from lbacal_core.audit.audit import audit_quickly
+from lbacal_core.audit.record import NOT_NAMED, name_mistake
+from lbacal_core.calibration.chain_test import LIKELY_MISTAKE
 from lbacal_core.calibration.left_open import widen_by_open_terms
 from lbacal_core.calibration.one_event import ErrorOfC, measure_error
 from lbacal_core.calibration.paths import LEAST_COVERAGE
@@ -47,7 +49,10 @@ from lbacal_core.spectra.spectra import Spectra
 
 SCOPES = ("antenna", "station", "array")
 """What one curve may belong to."""
-UNKNOWN = "its power hardly follows the sky, or C is uncertain by more than half; an audit tells which paths are dead"
+UNKNOWN = (
+    "its power does not follow P_sky at these sidereal times, or C is uncertain by more than half; an audit tells "
+    "which paths are dead, and whether clock, place or letters are wrong; the LST of a sky power file may be"
+)
 """Why the data of a path with enough events at enough sidereal times do not determine C."""
 NEXT_STEP = "lbacal.investigate(spectra, instrument).save('R.html')"
 """What to do where a curve is a misfit; the command says it in its own words."""
@@ -153,6 +158,10 @@ def fit(
     tell(f"fit {len(measured)} spectra")
     seen = simulation.smeared(measured)
     report = widen_by_open_terms(calibrate(measured, seen, scope), read_open_terms(with_, "with_"))
+    if simulation.is_own_sky and sum(_has_no_c(curve) for curve in report.curves) > len(report.curves) / 2:
+        mistake = name_mistake(measured, seen)
+        if mistake != NOT_NAMED:
+            report = replace(report, provenance=report.provenance.with_note(LIKELY_MISTAKE, mistake))
     report = audited.mark(report)
     tell("error of one event")
     error = measure_error(report, measured, seen)
@@ -212,7 +221,7 @@ def _describe_rest(report: FitReport, simulation: Simulation, spectra: int) -> I
         if curve.c is None:
             events = f"{curve.events} events{f', {MIN_EVENTS} needed' if curve.events < MIN_EVENTS else ''}"
             needed = f", {LEAST_COVERAGE:.2f} needed" if curve.lst_coverage < LEAST_COVERAGE else ""
-            reason = "" if needed or curve.status != NOT_IDENTIFIABLE else f": {UNKNOWN}"
+            reason = f": {UNKNOWN}" if _has_no_c(curve) else ""
             yield f"{curve.name}: {curve.status} ({events}, LST coverage {curve.lst_coverage:.2f}{needed}){reason}"
     reasons = [curve.merged.reason for curve in report.curves if curve.merged is not None]
     for reason in dict.fromkeys(reasons):
@@ -223,6 +232,11 @@ def _describe_rest(report: FitReport, simulation: Simulation, spectra: int) -> I
     for curve, reference in zip(report.curves, report.chains, strict=True):
         if reference is not None and curve.antenna is None:
             yield f"{curve.name}: {_describe_chain(reference)}"
+
+
+def _has_no_c(curve: CalibrationCurve) -> bool:
+    """Whether the data of a path with enough events at enough sidereal times do not determine C."""
+    return curve.status == NOT_IDENTIFIABLE and curve.lst_coverage >= LEAST_COVERAGE
 
 
 def _describe_chain(chain: ReferenceChain) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -350,3 +351,15 @@ def test_a_list_that_is_no_chain_is_refused_as_in_a_file():
 def test_a_touchstone_file_is_a_gain(tmp_path):
     (tmp_path / "f.s2p").write_text("# MHz S DB R 50\n40 -20 0 -20 0 -60 0 -20 0\n90 -20 0 -20 0 -60 0 -20 0\n")
     np.testing.assert_allclose(lbacal.Chain([str(tmp_path / "f.s2p")]).receiver_gain(NU_OF_CHAIN), 0.01)
+
+
+@pytest.mark.long
+def test_where_no_path_has_a_c_at_the_hours_on_record_the_fit_says_what_the_audit_finds():
+    """A longitude of the wrong sign left every curve without values, called the paths dead and named no mistake."""
+    spectra = lbacal.simulate("lofar-superterp", events=200, antennas=3)
+    found = lbacal.fit(replace(spectra, time_unix=spectra.time_unix + 9 * 3600), "lofar-superterp")
+    assert {curve.status for curve in found.report.curves} == {"not_identifiable"}
+    (said,) = [note for note in found.notes if note.startswith("likely mistake: ")]
+    assert re.search(r"a clock that is 5[34]\d min ahead", said)  # 540; sidereal time is known to 7 min
+    assert not any(note.startswith("audit: nothing wrong") for note in found.notes)
+    assert any("does not follow P_sky at these sidereal times" in note for note in found.notes)
