@@ -272,7 +272,7 @@ def _estimate(model: LinearModel, one: ScoredSentence, length: Lengths, *, of_la
         for count in counts:
             size = invert_symmetric(information[:count, :count], share=1e-6) @ score[:count]
             gain = max(float(size @ score[:count]), 1.0)
-            numbers, scale = _in_units(size, functions[:count])
+            numbers, scale = _in_units(size, functions[:count], is_signed=of_law)
             own = (*form, *numbers)
             new_law, new_course = (own, course) if of_law else (law, own)
             whole = length.spectral(new_law, gain) + length.temporal(new_course, gain)
@@ -283,7 +283,9 @@ def _estimate(model: LinearModel, one: ScoredSentence, length: Lengths, *, of_la
     return found
 
 
-def _in_units(size: Floats, functions: Floats) -> tuple[list[float], float]:
-    """Numbers of functions relative to the largest value of their sum, and that value."""
-    scale = max(float(np.abs(size @ functions).max()), 1e-300)
+def _in_units(size: Floats, functions: Floats, *, is_signed: bool) -> tuple[list[float], float]:
+    """Numbers of functions relative to the largest value of their sum, in modulus or with its sign, and that value."""
+    total = size @ functions
+    largest = float(total[np.argmax(np.abs(total))])
+    scale = largest if is_signed and largest else max(abs(largest), 1e-300)
     return [float(f"{one:.4g}") for one in size / scale], scale

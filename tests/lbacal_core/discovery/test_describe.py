@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.causes.catalogue import CAUSES, FORMAT, NamedSentence, catalogue_with
-from lbacal_core.causes.grammar import parts_of
+from lbacal_core.causes.grammar import law_of, parts_of, sentence
 from lbacal_core.causes.model import Model
 from lbacal_core.discovery.describe import CERTAIN, Description, _amounts, _fit_likely, describe_structure
 from lbacal_core.discovery.hypothesis import list_targets
@@ -16,7 +16,7 @@ from lbacal_core.discovery.refit import fit_chain
 from lbacal_core.discovery.report import investigate
 from lbacal_core.discovery.residual_structure import find_structure, strongest_structure
 from lbacal_core.discovery.search import search_station
-from lbacal_core.discovery.sentences import likeliest_sentences
+from lbacal_core.discovery.sentences import ScoredSentence, estimate_sentence, likeliest_sentences
 from lbacal_core.discovery.station import gather_stations
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.fault import Where
@@ -92,6 +92,20 @@ def test_a_single_event_is_put_into_no_course(clean, simulation):
     model = fit_chain(gather_stations(replace(clean, power=clean.power * burst), simulation)[0])
     structure = strongest_structure(model.linear, np.random.default_rng(0))
     assert describe_structure(model, structure, list_targets(model.station), Policy()) == Description()
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.5])
+def test_the_size_of_a_curve_that_is_estimated_has_the_sign_of_the_change(factor, clean, simulation):
+    """Half of the power for two months was said as +0.498, along a curve of -0.99 P0."""
+    during = (clean.antenna == 3) & (np.abs(clean.time_unix - 1404000000.0) < 30 * 86400.0)
+    power = clean.power * np.where(during, factor, 1.0)[:, None]
+    (station,) = gather_stations(replace(clean, power=power), simulation)
+    target = next(one for one in list_targets(station) if one.label == "antenna 3")
+    said = sentence("front", ("flat",), ("between", "2014-05-30T00:00:00Z", 60.0))
+    first, *_ = estimate_sentence(fit_chain(station).linear, ScoredSentence(said, target, 1.0, 1.0, 0.0), 1)
+    assert parts_of(first.template)[1][:1] == ("curve",)
+    assert np.sign(first.size) == np.sign(factor - 1.0)
+    assert law_of(station.conditions, parts_of(first.template)[1]).mean() > 0.0
 
 
 @pytest.mark.long
