@@ -177,6 +177,34 @@ def _name(
     return next((kind for kind, is_met in kinds.items() if is_met), None)
 
 
+# Channels that hold no sky in any path: far below the others, or the same number all the time.
+
+NO_POWER = np.log(1e-6)
+"""Ln of the power over that of the median channel: no filter with a channel that anybody calibrates lets less pass."""
+NO_CHANGE = 0.01
+"""Change with time over that of the median channel: even interference changes with the gain."""
+SHOWN = 10
+"""Channels that are told; more are counted."""
+
+
+def find_empty_channels(station: AuditedStation) -> list[Line]:
+    """Tell the channels without sky, which spoil the fit of all others; empty where there are none."""
+    power = np.nanmedian(np.log(station.power), axis=(0, 1))
+    level, change = np.median(power, axis=0), power.std(axis=0)
+    is_empty = level < np.median(level) + NO_POWER
+    if np.median(change) > MEASURABLE:
+        is_empty |= change < NO_CHANGE * np.median(change)
+    if not is_empty.any():
+        return []
+    empty = [f"{frequency:g}" for frequency in station.frequency_mhz[is_empty]]
+    more = f" and {len(empty) - SHOWN} more" if len(empty) > SHOWN else ""
+    sentence = (
+        f"{len(empty)} of {is_empty.size} channels hold no sky in any path (one number, or 1e-6 of the others' power): "
+        f"{', '.join(empty[:SHOWN])} MHz{more}; fit spectra, instrument and sky power without them"
+    )
+    return [Line("channels", WRONG, station.name, sentence)]
+
+
 # Antennas whose cable is not the one on record: level and slope against every cable that the instrument has.
 
 LEAST_LOG_ODDS = np.log(1e4)

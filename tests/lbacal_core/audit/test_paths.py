@@ -7,6 +7,7 @@ from lbacal_core.audit.antennas import (
     _fit_lines,
     compare_paths,
     compare_polarisations,
+    find_empty_channels,
     find_ill_paths,
     find_steps,
     find_wrong_cables,
@@ -194,6 +195,18 @@ def test_a_path_that_does_not_follow_the_sky_at_its_usual_level_is_insensitive_a
     assert not compare_polarisations(loaded, ~is_ill.any(axis=1)).exchanged().size
     exchanged = exchange(station, ANTENNA)
     assert find_ill_paths(exchanged, compare_paths(exchanged))[0] == []
+
+
+@pytest.mark.parametrize("value", [1e-30, 7.0])
+def test_channels_without_sky_in_any_path_are_told_by_number(station, value):
+    """Five constant channels of 51 made all curves a misfit of units, clock or place; ten of 1e-30 all paths dead."""
+    power = station.power.copy()
+    power[..., 20:22] = value * (power.mean() if value > 1 else 1.0)
+    (line,) = find_empty_channels(replace(station, power=power))
+    assert (line.check, line.verdict) == ("channels", "wrong")
+    assert line.sentence.startswith("2 of 51 channels hold no sky in any path")
+    assert "50, 51 MHz" in line.sentence
+    assert find_empty_channels(station) == []
 
 
 def test_a_rise_to_the_end_of_the_band_must_be_twice_as_tall_as_a_peak(station):
