@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lbacal_core.data.constants import BOLTZMANN, SPEED_OF_LIGHT
 from lbacal_core.errors import BadInputError
 from lbacal_core.foreign import parse_numbers, read_json
 from lbacal_core.grids import Floats, require_channels
@@ -268,6 +269,10 @@ def parse_made_for(content: Mapping[str, Any], place: str) -> MadeFor | None:
     )
 
 
+GALAXY_K, GALAXY_MHZ, GALAXY_INDEX = 180.0, 180.0, 2.55
+"""The Galaxy away from its plane (Mozdzen et al. 2019, rounded)."""
+FAR_FROM_GALAXY = 100.0
+"""Factor from it of P_sky in another unit; those of dipoles lie within 1.5 and 4."""
 FEWEST_INSTANTS = 3
 LST_TOLERANCE_HOURS = 1e-6
 """4 ms: what rounding in a file may leave of a regular grid."""
@@ -404,7 +409,17 @@ class SkyPower:
         elsewhere = [name for name, site in instrument.sites.items() if site.latitude_deg != north]
         without = ", ".join(name for name in elsewhere if name not in self.stations)
         made += f"; P_sky of the instrument's place stands for that of {without}" if without else ""
+        level = self._over_galaxy()
+        if not 1 / FAR_FROM_GALAXY < level < FAR_FROM_GALAXY:
+            made += f"; it is {level:.1g} times the Galaxy in W m^-2 MHz^-1: C is relative, not in volts"
         return made if self.fit is None else f"{self.fit}; {made}"
+
+    def _over_galaxy(self) -> float:
+        """Median over the channels of the mean P_sky over that of the Galaxy's mean brightness from all directions."""
+        per_metre = self.frequency_mhz * 1e6 / SPEED_OF_LIGHT
+        brightness = GALAXY_K * (self.frequency_mhz / GALAXY_MHZ) ** -GALAXY_INDEX
+        galaxy = BOLTZMANN * brightness * 4.0 * np.pi * per_metre**2 * 1e6
+        return float(np.median([one.mean(axis=0) / galaxy for one in self.power.values()]))
 
     def of_inputs(self, digest: str) -> SkyPower:
         """The same table, named by the hash of its inputs.

@@ -117,3 +117,10 @@ def test_changes_of_the_beam_are_those_of_the_antenna_that_the_instrument_names(
     varied = vary_sky_power(named, lst_hours=LST, azimuth_deg=10.0)
     turned = compute_sky_power(chain, None, VariedAntenna(load_antenna("short-dipole"), 10.0), LST)
     np.testing.assert_allclose(varied.power["Y"], turned.power["Y"], rtol=1e-12)
+
+
+@pytest.mark.parametrize(("factor", "is_said"), [(1.0, False), (7.53, False), (1e6, True), (1e-6, True)])
+def test_a_sky_in_another_unit_is_said_to_make_c_relative(content, chain, tmp_path, factor, is_said):
+    """One 1e6 too large converged, with C a thousand times too small."""
+    scaled = content | {letter: (factor * np.array(content[letter])).tolist() for letter in "XY"}
+    assert ("times the Galaxy in W m^-2 MHz^-1: C is relative" in check(scaled, chain, tmp_path)) == is_said
