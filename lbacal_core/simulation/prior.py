@@ -227,13 +227,15 @@ PATTERN = "antenna pattern"
 def list_changes(instrument: Instrument, sky_budget: str = DEFAULT_SKY_BUDGET) -> list[SkyTerm]:
     """How far sky (by one of `SKY_BUDGETS`), pattern and ground may be from what C is made with; terms alike are one.
 
-    Where no sky or antenna model reaches the instrument's channels, the level of the sky alone.
+    Where no sky or antenna model reaches the instrument's channels, the level of the sky alone; `measured` is refused.
     """
     require_name("sky budget", sky_budget, SKY_BUDGETS)
     try:
         changes = [*sky_terms(instrument, sky_budget, instrument.sky or "gsm"), _pattern(instrument)]
         return changes if sky_budget == PAPER_BUDGET else [*changes, _ground(instrument)]
     except BadInputError:
+        if sky_budget not in (DEFAULT_SKY_BUDGET, PAPER_BUDGET):  # what was asked for cannot be had
+            raise
         return [_level(instrument)]
 
 

@@ -98,6 +98,8 @@ def test_where_no_model_reaches_the_channels_the_level_of_the_sky_is_left():
     high = replace(INSTRUMENT, frequency_mhz=INSTRUMENT.frequency_mhz + 400.0)
     (change,) = list_changes(high, "models")
     assert float(change.d_ln_p["X"][0, 0]) == pytest.approx(0.229, abs=0.001)
+    with pytest.raises(BadInputError):  # the error of a sky that was asked for, and is not there
+        list_changes(high, "measured")
 
 
 def test_beyond_the_default_sky_the_wide_skies_differ():
