@@ -152,6 +152,10 @@ def read(
     if not isinstance(named, Sequence) or not named:
         raise BadInputError("read", "a file or a folder, or a list of them", "none")
     paths = [path_of("read", one) for one in named]
+    if len(paths) == 1 and paths[0].suffix.lower() == ".csv":
+        known = "curves as .ecsv, .fits, .h5 or .json, spectra as HDF5; lbacal.import_data reads other spectra"
+        found = "a CSV file; of curves it holds the rows alone, which astropy.table.QTable.read reads"
+        raise BadInputError(str(paths[0]), known, found)
     if len(paths) == 1 and holds_curves(paths[0]):
         if since is not None or until is not None or stations:
             raise BadInputError("since, until, stations", "spectra beside them", f"the curves of {paths[0]}")

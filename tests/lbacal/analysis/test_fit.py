@@ -121,6 +121,9 @@ def test_a_curve_is_a_table_with_units(found):
 
 def test_a_table_from_a_file_has_its_curves_by_name_and_its_columns_as_ever(found, tmp_path):
     found.save(tmp_path / "C.ecsv")
+    found.save(tmp_path / "C.csv")
+    with pytest.raises(BadInputError, match=r"C\.csv: expected curves as \.ecsv, .*QTable\.read reads"):
+        lbacal.read(tmp_path / "C.csv")
     table = lbacal.read(tmp_path / "C.ecsv")
     np.testing.assert_array_equal(table["S1", 1, "UP"]["c"], found["S1", 1, "UP"]["c"])
     assert table["S1", 1, "UP"].mean(50, 60).c.to_value(u.V) == found["S1", 1, "UP"].mean(50, 60).c.to_value(u.V)
