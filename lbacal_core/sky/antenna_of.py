@@ -36,6 +36,6 @@ def antenna_of(instrument: Instrument) -> str:
     raise BadInputError(
         f"instrument {instrument.name}: antenna",
         f"the name of an antenna model ({', '.join(sorted(ANTENNAS))}) or a file of Jones terms, in the instrument "
-        "file or as lbacal sky-power --antenna; or a sky power file (--sky-power)",
+        "file or as lbacal sky-power --antenna, whose file fit, budget and investigate take (--sky-power)",
         "none, and the instrument does not stand among LOFAR's stations, whose antenna is the default",
     )
