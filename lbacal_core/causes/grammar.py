@@ -17,6 +17,7 @@ from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
+from scipy.special import expit
 
 from lbacal_core.causes.axes import DAY_S
 from lbacal_core.causes.cause import RAIN, SCOPES, TEMPERATURE, YEAR_S, Cause, Conditions, SizeRange, Template
@@ -105,7 +106,7 @@ def _slope_of(curve: Floats, conditions: Conditions) -> Floats:
 
 
 def _edge(away_mhz: Floats, width_mhz: float) -> Floats:
-    return np.asarray(1.0 / (1.0 + np.exp(away_mhz / width_mhz)))
+    return np.asarray(expit(-away_mhz / width_mhz))
 
 
 CURVE, SERIES = "curve", "series"
