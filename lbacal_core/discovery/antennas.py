@@ -284,6 +284,7 @@ def compare_antennas(
     policy: Policy,
     seed: int = 0,
     findings: Sequence[Hypothesis] = (),
+    changing: Sequence[Target] = (),
 ) -> list[AntennaScore]:
     """The best score of each static cause, most significant first.
 
@@ -292,12 +293,18 @@ def compare_antennas(
     findings
         Causes that were divided out of the power. What a wrong size of one on a single antenna leaves along frequency
         is no cause of that antenna: half a line of interference was a reflection.
+    changing
+        Who shows what nothing describes, and is no measure of others: the mean of three with one that echoes since a
+        date was a reflection in the second.
     """
     antennas = [target for target in targets if target.scope == "antenna"]
     antennas = antennas or [target for target in targets if target.scope == "path"]
     if not antennas or count_comparisons(station) < FEWEST_COMPARISONS:
         return []
     slopes = _log_slopes(station, baseline, antennas)
+    for place, antenna in enumerate(antennas):
+        if any(np.any(one.is_member & antenna.is_member) for one in changing):
+            slopes[1][place] = np.nan
     compared = {k: one for k in range(len(antennas)) if (one := compare(k, *slopes)) is not None}
     if not compared:
         return []

@@ -22,7 +22,7 @@ from lbacal_core.discovery.adopted import FittedSize, fit_adopted
 from lbacal_core.discovery.antennas import AntennaScore, compare_antennas, compare_cable_names, why_no_comparison
 from lbacal_core.discovery.baseline import leave_out_deaf, select_paths
 from lbacal_core.discovery.describe import Description, describe_structure
-from lbacal_core.discovery.findings import Finding, Grown, StationSearch, grow_by, grow_findings
+from lbacal_core.discovery.findings import Finding, Grown, StationSearch, gain_in_chi_squared, grow_by, grow_findings
 from lbacal_core.discovery.hypothesis import Hypothesis, Target, list_targets, p_of
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
@@ -159,7 +159,11 @@ def search_station(
         grown, findings, similar = _join(first, grown, findings, similar, rest, search)
     hidden = [one.cause for one in search.hidden or []]
     standing = _standing(first, grown, findings)
-    antenna_scores = compare_antennas(station, standing.baseline, targets, policy, seed, standing.hypotheses)
+    changing = list[Target]()
+    if structure is not None:
+        shown = (*hiding, search.significant, *(one for one in targets if one.label == structure.target))
+        changing = [one for one in shown if one is not None and one.scope != STATION]
+    antenna_scores = compare_antennas(station, standing.baseline, targets, policy, seed, standing.hypotheses, changing)
     antenna_scores += compare_cable_names(standing.baseline, standing.linear, targets)
     antenna_scores.sort(key=lambda score: score.p_value)
     return StationReport(
@@ -188,10 +192,30 @@ def put_into_words(report: StationReport, seed: int = 0) -> StationReport:
     """The report with its residual structure described, which costs as much as all else."""
     if report.structure is None:
         return report
-    left, targets = _with(report.first, report.findings), list_targets(report.station)
+    left = _with(report.first, [one.hypothesis for one in report.findings])
+    targets = list_targets(report.station)
     description = describe_structure(left, report.structure, targets, report.policy, seed, report.significant)
     rest = None if report.rest is None else put_into_words(report.rest, seed)
-    return replace(report, description=description, rest=rest)
+    said = [one for part in (description, rest and rest.description) if part for one in part.sentences[:1]]
+    whole = {target.label: target for target in targets}
+    beside = [replace(one.hypothesis, target=whole[one.hypothesis.target.label]) for one in said]
+    seen = [one for one in report.findings if _adds_beside(one, beside, report)]
+    similar = [*report.similar, *(one for one in report.findings if all(one is not other for other in seen))]
+    return replace(report, description=description, rest=rest, findings=seen, similar=similar)
+
+
+def _adds_beside(finding: Finding, sentences: Sequence[Hypothesis], report: StationReport) -> bool:
+    """Whether a finding is significant beside the other findings and the sentences that describe structure.
+
+    A ripple in one of eight antennas is an eighth of it in their mean, and a finding of one that was away.
+    """
+    others = [one.hypothesis for one in report.findings if one is not finding]
+    without = _with(report.first, [*others, *sentences])
+    after = refit(without, finding.hypothesis) if sentences else None
+    if after is None:
+        return True
+    z = max(gain_in_chi_squared(without, after), 0.0) ** 0.5
+    return p_of(z, finding.score.trials * finding.score.causes) <= report.policy.catalogue_alpha
 
 
 def _name_structure(
@@ -200,7 +224,8 @@ def _name_structure(
     """The model with its causes alone, and the structure that the likeliest of its sentences describes."""
     kept = [number for number, one in enumerate(grown.findings) if all(one is not other for other in said)]
     findings = [grown.findings[number] for number in kept]
-    named = Grown(_with(first, findings), [grown.others[number] for number in kept], findings)
+    kept_model = _with(first, [one.hypothesis for one in findings])
+    named = Grown(kept_model, [grown.others[number] for number in kept], findings)
     best = max(said, key=lambda one: one.chi2_before - one.chi2_after)
     chance, course = best.score.p_value, parts_of(best.hypothesis.template)[2]
     linear, alpha, structure = named.last.linear, search.policy.structure_alpha / search.stations, None
@@ -261,13 +286,13 @@ def _standing(first: FittedModel, grown: Grown, findings: Sequence[Finding]) -> 
 
     What a withdrawn one does along frequency is divided out of its paths, and is a departure of their slopes.
     """
-    return grown.last if len(findings) == len(grown.findings) else _with(first, findings)
+    return grown.last if len(findings) == len(grown.findings) else _with(first, [one.hypothesis for one in findings])
 
 
-def _with(model: FittedModel, findings: Sequence[Finding]) -> FittedModel:
-    """A model with findings, one after the other."""
-    for finding in findings:
-        model = refit(model, finding.hypothesis) or model
+def _with(model: FittedModel, hypotheses: Sequence[Hypothesis]) -> FittedModel:
+    """A model with hypotheses, one after the other."""
+    for one in hypotheses:
+        model = refit(model, one) or model
     return model
 
 

@@ -1,10 +1,13 @@
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from lbacal_core.discovery.hypothesis import Hypothesis
 from lbacal_core.discovery.report import investigate
+from lbacal_core.discovery.search import _adds_beside
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.power import compute_sky_power
 from lbacal_twin.campaign import simulate_campaign
@@ -112,6 +115,27 @@ def test_what_no_cause_explains_in_one_antenna_hides_nothing_in_another(is_known
     if not is_known:
         assert left["in_others"]["where"]["target"].startswith("antenna 5")
         assert left["in_others"]["where"]["axis"] == "humidity"
+
+
+@pytest.mark.long
+def test_an_antenna_that_echoes_since_a_date_is_no_measure_of_others_and_no_finding_beside_the_echo(clean, simulation):
+    """Of three antennas with one cable the second had a reflection: the mean of the others held the third's echo.
+
+    In another world it was the noise of the digitiser and a line of interference beside the sentence that said it all.
+    """
+    days = (clean.time_unix - clean.time_unix.min()) / 86400.0
+    echo = 1.0 + 0.25 * np.cos(2.0 * np.pi * (clean.frequency_mhz - 40.0) / 11.0)
+    echoes = (clean.antenna == 5) & (days > 280)
+    report, (found,) = investigate(replace(clean, power=clean.power * np.where(echoes[:, None], echo, 1.0)), simulation)
+    assert report["findings"] == []
+    assert "antenna 5, " in report["unexplained"]["in_words"]
+    (score,) = [
+        one for one in found.scores if (one.cause.identifier, one.target.label) == ("adc_noise_step", "antenna 5")
+    ]
+    size = 1.0 if score.z > 0 else -0.5
+    said = SimpleNamespace(hypothesis=Hypothesis(score.cause, score.template, score.target, size), score=score)
+    assert _adds_beside(said, [], found)
+    assert not _adds_beside(said, [found.description.sentences[0].hypothesis], found)
 
 
 @pytest.mark.long
