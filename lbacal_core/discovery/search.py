@@ -196,9 +196,10 @@ def put_into_words(report: StationReport, seed: int = 0) -> StationReport:
     targets = list_targets(report.station)
     description = describe_structure(left, report.structure, targets, report.policy, seed, report.significant)
     rest = None if report.rest is None else put_into_words(report.rest, seed)
-    said = [one for part in (description, rest and rest.description) if part for one in part.sentences[:1]]
+    parts = [description] if rest is None else [description, rest.description]
     whole = {target.label: target for target in targets}
-    beside = [replace(one.hypothesis, target=whole[one.hypothesis.target.label]) for one in said]
+    said = [one.hypothesis for part in parts for one in part.sentences[:1] if one.hypothesis.target.label in whole]
+    beside = [replace(one, target=whole[one.target.label]) for one in said]
     seen = [one for one in report.findings if _adds_beside(one, beside, report)]
     similar = [*report.similar, *(one for one in report.findings if all(one is not other for other in seen))]
     return replace(report, description=description, rest=rest, findings=seen, similar=similar)
@@ -209,9 +210,11 @@ def _adds_beside(finding: Finding, sentences: Sequence[Hypothesis], report: Stat
 
     A ripple in one of eight antennas is an eighth of it in their mean, and a finding of one that was away.
     """
+    if not sentences:
+        return True
     others = [one.hypothesis for one in report.findings if one is not finding]
     without = _with(report.first, [*others, *sentences])
-    after = refit(without, finding.hypothesis) if sentences else None
+    after = refit(without, finding.hypothesis)
     if after is None:
         return True
     z = max(gain_in_chi_squared(without, after), 0.0) ** 0.5
