@@ -17,7 +17,6 @@ from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
-from scipy.special import expit
 
 from lbacal_core.causes.axes import DAY_S
 from lbacal_core.causes.cause import RAIN, SCOPES, TEMPERATURE, YEAR_S, Cause, Conditions, SizeRange, Template
@@ -106,7 +105,7 @@ def _slope_of(curve: Floats, conditions: Conditions) -> Floats:
 
 
 def _edge(away_mhz: Floats, width_mhz: float) -> Floats:
-    return np.asarray(expit(-away_mhz / width_mhz))
+    return np.asarray(0.5 - 0.5 * np.tanh(0.5 * away_mhz / width_mhz))
 
 
 CURVE, SERIES = "curve", "series"
