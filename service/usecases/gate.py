@@ -368,11 +368,14 @@ def find_in_force(
     windows, scope = (version.window, predecessor.window), version.scope
     first, last = min(since for since, _ in windows), max(until for _, until in windows)
     own = [one for one in steps if one.station == scope.station and one.antenna in (None, scope.antenna)]
-    inside = [one.power for one in own if first < one.date < last]
-    if None in inside:
-        return -math.inf, math.inf
-    sign = 1.0 if version.since >= predecessor.since else -1.0
-    moved = [-0.5 * sign * math.log(power) for power in inside if power is not None]
+    moved = list[float]()
+    for one in own:
+        if not first < one.date < last:
+            continue
+        if one.power is None:
+            return -math.inf, math.inf
+        is_earlier = version.until <= one.date or version.since < one.date <= predecessor.since
+        moved.append((0.5 if is_earlier else -0.5) * math.log(one.power))
     spans = [(since / SECOND_US, until / SECOND_US) for since, until in windows]
     # where it stands at one instant, beside its mean over one window and over the other
     moved += [one.size * (one.depart(0.0, spans[1]) - one.depart(0.0, spans[0])) for one in slow]

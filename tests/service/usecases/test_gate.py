@@ -93,6 +93,18 @@ def test_a_change_in_force_between_two_versions_is_no_objection():
     assert GATE.objection(earlier, BEFORE, None, [replace(whole, date=10)]) is None, "and the other way in time"
     for other in (replace(whole, date=500), replace(whole, antenna=3), replace(whole, power=1.2**2.0)):
         assert "differs by +24.0%" in str(GATE.objection(later, BEFORE, None, [other]))
+    # of a window that is cut, the first part waited, and the mean over the change stayed in effect there
+    for c, window, power in (
+        (1.24e-3, (0, 20), 1.2**2.0),
+        (0.8e-3, (20, 50), 1.2**2.0),
+        (1.24e-3, (20, 50), 1.2**-2.0),
+    ):
+        part, cut = (
+            version(curve(c), curve(c, dipole="Y"), made=200, window=window),
+            replace(whole, date=20, power=power),
+        )
+        assert GATE.objection(part, BEFORE, None, [cut]) is None
+        assert GATE.objection(part, BEFORE, None, [replace(cut, power=1.0 / power)]) is not None
 
 
 def test_a_ramp_in_force_is_no_objection_and_its_opposite_is():
