@@ -208,7 +208,8 @@ def put_into_words(report: StationReport, seed: int = 0) -> StationReport:
 def _adds_beside(finding: Finding, sentences: Sequence[Hypothesis], report: StationReport) -> bool:
     """Whether a finding is significant beside the other findings and the sentences that describe structure.
 
-    A ripple in one of eight antennas is an eighth of it in their mean, and a finding of one that was away.
+    An antenna that echoes since a date is its digitiser's noise and a line of interference as well, where these are
+    asked without the echo.
     """
     if not sentences:
         return True

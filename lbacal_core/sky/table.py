@@ -272,7 +272,7 @@ def parse_made_for(content: Mapping[str, Any], place: str) -> MadeFor | None:
 GALAXY_K, GALAXY_MHZ, GALAXY_INDEX = 180.0, 180.0, 2.55
 """The Galaxy away from its plane (Mozdzen et al. 2019, rounded)."""
 FAR_FROM_GALAXY = 100.0
-"""Factor from it of P_sky in another unit; those of dipoles lie within 1.5 and 4."""
+"""Factor from it of P_sky in another unit: no antenna or model of the sky makes so much."""
 FEWEST_INSTANTS = 3
 LST_TOLERANCE_HOURS = 1e-6
 """4 ms: what rounding in a file may leave of a regular grid."""
