@@ -36,7 +36,7 @@ from lbacal_core.instrument.chain import Intercepts
 from lbacal_core.linear import invert_symmetric, solve_symmetric
 
 MOST_ROUNDS, SMALLEST_STEP = 20, 1e-4
-"""Gains of a year move by a few percent and take three rounds, another cable six, twice the power eight."""
+"""Gains of a year move by a few percent and take three rounds, six times the power twelve."""
 GAIN_SIGMAS, OTHER_SIGMAS = (0.3, 0.03, 0.03), (1.0, 0.5, 0.1)
 """Standard deviations of ln of the gain between two windows, and of its tilt and curvature at the band's end; where the
 hardware is another, which may have a cable that nobody entered (80 m in place of 50 m: -0.76, -0.18, 0.01)."""
@@ -151,8 +151,10 @@ def _solve(
     own = np.concatenate([lines.slope, lines.intercept], axis=1)
     gains = [np.zeros_like(one.sigmas) for one in others]
     limits = [FARTHEST * one.sigmas for one in others]
-    behind = solution.q @ terms.behind
+    taken = [solution.q]
+    given: list[Floats] = []
     for _ in range(MOST_ROUNDS):
+        behind = taken[-1] @ terms.behind
         parts = [
             _integrate(one, gain, solution, behind, terms, shapes) for one, gain in zip(others, gains, strict=True)
         ]
@@ -167,14 +169,24 @@ def _solve(
         before, gains = gains, [np.clip(one, -most, most) for one, most in zip(found, limits, strict=True)]
         if np.max(step := np.max(np.abs(np.subtract(gains, before)), axis=(0, 2))) < SMALLEST_STEP:
             break
-        # noise behind of the last round weighs 1 - 1 / factor in this: with half the gain it swings for ever
-        share = np.min(
-            [one.cable * np.exp(gain @ shapes) for one, gain in zip(others, gains, strict=True)], axis=(0, 2)
-        )
-        behind = behind + np.minimum(share, 1.0)[:, None] * (solution.q @ terms.behind - behind)
+        given.append(solution.q)
+        taken.append(_extrapolate(taken, given))
     is_settled = (step < SMALLEST_STEP) & np.all(np.abs(gains) < limits, axis=(0, 2))
     left = [np.einsum("pi,pij,pj->p", one - mean, weight, one - mean) for one, weight in together]
     return solution, is_free, np.sum(left, axis=0), is_settled
+
+
+def _extrapolate(taken: Sequence[Floats], given: Sequence[Floats]) -> Floats:
+    """Where rounds that took some noise and gave another would give what they take, by the last three (Anderson 1965).
+
+    The noise behind the gain weighs 1 - 1 / factor in what a round gives: at half the gain rounds by themselves swing,
+    at a tenth they creep.
+    """
+    last = np.array(given[-3:])
+    left = last - np.array(taken[-len(last) :])
+    changes = np.moveaxis(np.diff(left, axis=0), 0, -1)
+    weight = np.linalg.pinv(changes) @ left[-1][:, :, None]
+    return np.asarray(last[-1] - (np.moveaxis(np.diff(last, axis=0), 0, -1) @ weight)[:, :, 0])
 
 
 def pick_beside(beside: Sequence[Beside], owner: Owner) -> list[Beside]:
@@ -379,12 +391,25 @@ def lend(
             of = np.array([list(one.lines.owners).index(paths.owners[k]) for k in at])
             lines = lines_of(one.lines, of)
             start, _ = solve_without_interference(lines.slope, lines.intercept, lines.information, terms)
-            start = replace(start, x=start.x * loss[at] / one.lines.loss[of])
+            x = start.x * loss[at] / one.lines.loss[of]
+            start = replace(start, x=x * _find_gain(paths, at, sky, replace(start, x=x), terms))
             then = replace(
                 lines, slope=start.x, intercept=terms.on_line(start.x, start.n, start.q),
                 information=np.zeros_like(lines.information),
             )  # fmt: skip
             yield Lent(at, continue_lines(then, paths.power[at], sky, paths.relative_variance[at]), start)
+
+
+def _find_gain(paths: Paths, at: NDArray[np.intp], sky: Floats, chain: SeparableSolution, terms: Intercepts) -> Floats:
+    """By how much the power in front of N_RCU exceeds that of a chain, shape (path, 1), at the median channel.
+
+    Noise levels are shares of the power: at four times the power those of a chain are a quarter. 1 for a dead path.
+    """
+    is_there = np.isfinite(paths.relative_variance[at])[:, :, None]
+    front = (chain.x * terms.before(chain.n))[:, None] + chain.x[:, None] * sky
+    left = np.where(is_there, paths.power[at] - (chain.q @ terms.behind)[:, None], 0.0).sum(axis=1)
+    gain = np.median(left / np.maximum(np.where(is_there, front, 0.0).sum(axis=1), 1e-300), axis=1, keepdims=True)
+    return np.where(gain > np.exp(-FARTHEST), gain, 1.0)
 
 
 def lines_of(kept: KeptLines, at: NDArray[np.intp]) -> Lines:
