@@ -205,6 +205,17 @@ def find_empty_channels(station: AuditedStation) -> list[Line]:
     return [Line("channels", WRONG, station.name, sentence)]
 
 
+def find_copies(station: AuditedStation) -> list[Line]:
+    """Tell paths that hold the numbers of another, whose noise is never the same."""
+    lines, seen = [], dict[bytes, str]()
+    for a, d in np.ndindex(*station.power.shape[:2]):
+        own, path = station.power[a, d], f"antenna {station.antennas[a]} {station.dipoles[d]}"
+        if np.nanstd(own) > 0 and path != (first := seen.setdefault(own.tobytes(), path)):
+            sentence = f"{path} holds the same numbers as {first}: one is a copy, or both were read from one receiver"
+            lines.append(Line("copy", WRONG, station.name, sentence, (int(station.antennas[a]),), station.dipoles[d]))
+    return lines
+
+
 # Antennas whose cable is not the one on record: level and slope against every cable that the instrument has.
 
 LEAST_LOG_ODDS = np.log(1e4)

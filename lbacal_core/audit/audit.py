@@ -19,6 +19,7 @@ from lbacal_core.audit.antennas import (
     STEPPED,
     compare_paths,
     compare_polarisations,
+    find_copies,
     find_empty_channels,
     find_ill_paths,
     find_steps,
@@ -105,7 +106,7 @@ def _audit(
             "ignore", "All-NaN|Mean of empty|Degrees of freedom", RuntimeWarning
         )  # nothing recorded
         for station in stations:
-            lines += find_empty_channels(station)
+            lines += [*find_empty_channels(station), *find_copies(station)]
             lines += _audit_station(station, instrument.at_station(station.name), models)
     return AuditReport(lines, stations)
 

@@ -7,6 +7,7 @@ from lbacal_core.audit.antennas import (
     _fit_lines,
     compare_paths,
     compare_polarisations,
+    find_copies,
     find_empty_channels,
     find_ill_paths,
     find_steps,
@@ -207,6 +208,15 @@ def test_channels_without_sky_in_any_path_are_told_by_number(station, value):
     assert line.sentence.startswith("2 of 51 channels hold no sky in any path")
     assert "50, 51 MHz" in line.sentence
     assert find_empty_channels(station) == []
+
+
+def test_a_path_with_the_numbers_of_another_is_a_copy(station):
+    power = station.power.copy()
+    power[ANTENNA, 1] = power[ANTENNA, 0]
+    (line,) = find_copies(replace(station, power=power))
+    assert (line.check, line.verdict, line.antennas, line.dipole) == ("copy", "wrong", (ANTENNA,), "Y")
+    assert find_copies(replace(station, power=np.where(np.arange(2)[:, None, None], 7.0, power))) == [], "constant"
+    assert find_copies(station) == []
 
 
 def test_a_rise_to_the_end_of_the_band_must_be_twice_as_tall_as_a_peak(station):
