@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from lbacal_core.calibration.lines import find_free, free_intercepts
 from lbacal_core.calibration.separable import SeparableSolution, solve_separable
 from lbacal_core.curves.curves import INTERFERENCE, OK, OUTSIDE, UNCERTAIN, MergedConstants
 from lbacal_core.grids import Floats
@@ -29,10 +30,6 @@ FURTHEST_OUTLIER = 6.0
 """Standard deviations by which noise does not reach in 1e7 channels."""
 MOST_WITH_INTERFERENCE = 0.1
 """Share of the channels. Where more stand out, the chain is wrong and not a channel."""
-EXCESS_SCATTER = 1.5
-"""Scatter over that of the channels beside it; 60 events know a scatter to 9 %."""
-BESIDE = 3
-"""Channels on either side."""
 MEDIAN_OF_NORMAL = 0.6745
 """The median magnitude of a normal variable, in standard deviations."""
 SMALLEST_SHARE = 1e-9
@@ -56,7 +53,7 @@ def solve_without_interference(
     The solution, and which channels have a free intercept, shape (path, freq).
     """
     solution = solution or solve_separable(slope, intercept, information, terms)
-    is_free = np.zeros(slope.shape, dtype=bool)
+    is_free = find_free(information)
     left = information
     at = np.flatnonzero(solution.is_converged & solution.is_identifiable)
     for _ in range(int(MOST_WITH_INTERFERENCE * slope.shape[1])):
@@ -67,27 +64,24 @@ def solve_without_interference(
         if at.size == 0:
             break
         is_free[at, channel] = True
-        left = left.copy()
-        left[at] = [_free(information[p], is_free[p]) for p in at]
+        left = free_intercepts(information, is_free)
         solution = solution.exchange(at, solve_separable(slope[at], intercept[at], left[at], terms))
     return solution, is_free
 
 
-def flag_channels(relative_error: Floats, radiometer: Floats, has_interference: Booleans) -> NDArray[np.str_]:
+def flag_channels(relative_error: Floats, has_interference: Booleans) -> NDArray[np.str_]:
     """The flag of each channel, shape (path, freq).
 
     Parameters
     ----------
     relative_error
         Standard deviation of ln C, shape (path, freq); NaN where the fit gave none.
-    radiometer
-        Scatter of the events, shape (path, freq).
     has_interference
-        Shape (path, freq): steady interference was found.
+        Shape (path, freq).
     """
     flag = np.full(relative_error.shape, OK, dtype="U12")
     flag[relative_error > LARGEST_GOOD_ERROR] = UNCERTAIN
-    flag[has_interference | (radiometer > EXCESS_SCATTER * _median_beside(radiometer))] = INTERFERENCE
+    flag[has_interference] = INTERFERENCE
     flag[~(relative_error < LARGEST_ERROR)] = OUTSIDE
     return flag
 
@@ -126,22 +120,6 @@ def _excess_of_intercepts(
     excess = np.where(is_tested, pull / np.sqrt(np.where(is_tested, left, 1.0)), 0.0)
     typical = np.median(np.abs(excess), axis=1, keepdims=True) / MEDIAN_OF_NORMAL
     return np.asarray(excess / np.maximum(typical, 1.0))
-
-
-def _free(information: Floats, is_free: Booleans) -> Floats:
-    """Information about lines once the intercepts of some channels are free, shape (2 freq, 2 freq)."""
-    at = is_free.size + np.flatnonzero(is_free)
-    side = information[:, at]
-    left = information - side @ solve_symmetric(information[np.ix_(at, at)], side.T)
-    left[at] = left[:, at] = 0.0
-    return np.asarray(left)
-
-
-def _median_beside(values: Floats) -> Floats:
-    """The median over the channels on either side, shape (path, freq)."""
-    padded = np.pad(values, ((0, 0), (BESIDE, BESIDE)), mode="reflect")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * BESIDE + 1, axis=1)
-    return np.asarray(np.median(windows, axis=2))
 
 
 # Noise constants that the data of a path do not tell apart: what they add together, and why they are merged.

@@ -37,7 +37,7 @@ from lbacal_core.calibration.gain_waves import (
     see_gain_waves,
     stations_that_follow,
 )
-from lbacal_core.calibration.lines import Lines, fit_lines
+from lbacal_core.calibration.lines import Lines, find_free, fit_lines
 from lbacal_core.calibration.paths import (
     LST_BINS,
     MIN_LST_BINS,
@@ -245,7 +245,7 @@ def _fit_paths(
         c = calibration_factor(solution.x, instrument.antenna_gain)
         # ln C = -ln(s) / 2 + const
         relative_error = np.sqrt(variance[:, :channels]) / (2.0 * solution.x)
-    flag = flag_channels(np.where(c > 0, relative_error, np.nan), lines.levels.radiometer[at], is_free)
+    flag = flag_channels(np.where(c > 0, relative_error, np.nan), is_free | find_free(lines.information[at]))
     has_value = flag != OUTSIDE
     is_usable = has_value.mean(axis=1) >= SMALLEST_BAND
     is_fitted = status[at] == CONVERGED
@@ -380,5 +380,5 @@ def _sees_the_sky_vary(lines: Lines) -> NDArray[np.bool_]:
     of_intercept = np.einsum("pii->pi", lines.information)[:, channels:]
     shared = np.einsum("pii->pi", lines.information[:, :channels, channels:])
     alone = 1.0 - shared**2 / np.maximum(of_slope * of_intercept, 1e-300)
-    significance = lines.slope * np.sqrt(of_slope * np.where(alone > 1e-10, alone, 0.0))
+    significance = lines.slope * np.sqrt(np.maximum(of_slope, 0.0) * np.where(alone > 1e-10, alone, 0.0))
     return np.asarray(np.median(significance, axis=1) > 3.0)

@@ -38,6 +38,12 @@ ROUNDS = 3
 """Rounds between the radiometer noise and the basis, which is weighted by it."""
 SMALLEST, SMALLEST_SHARE, SMALLEST_OF_TYPICAL = 1e-12, 0.05, 0.1
 """Floors of a variance, of its share outside the basis, and of a channel's variance over the typical channel's."""
+EXCESS_SCATTER = 1.5
+"""Scatter over that of the channels beside it; 60 events know a scatter to 9 %."""
+BESIDE = 3
+"""Channels on either side."""
+LOUD = 3.0
+"""Power over that of the louder channel next to it: no antenna's resonance is as narrow as a channel."""
 SMALLEST_ANGLE = 1e-3
 """Angle of a vector to those before it below which only rounding tells them apart."""
 CHANNELS_PER_VECTOR = 8
@@ -307,16 +313,17 @@ def _fit_part(
     residual -= 1.0
     levels = estimate_noise_levels(residual, relative_variance, 2, seeds)
     shared = SharedNoise.of(levels, seeds, behind, chain)
+    level = slope * mean_sky + intercept
     wider = None if time_unix is None else _find_wider(residual, sky_power, relative_variance, levels, time_unix)
     gradient, information = _weigh_events(residual, sky_power, inverse_model, relative_variance, levels, shared)
     step = _solve(information, gradient)
     slope, intercept = slope + step[:, 0], intercept + step[:, 1]
     if wider is not None:
-        level = (slope * mean_sky + intercept)[:, None] * levels.vectors
-        directions = np.concatenate([level / mean_sky, -level], axis=2)
+        along = level[:, None] * levels.vectors
+        directions = np.concatenate([along / mean_sky, -along], axis=2)
         for k in np.flatnonzero(wider.any(axis=0)).tolist():
             information = add_variance(information, directions[:, k], wider[:, k])
-    return Lines(slope, intercept, information, levels, shared)
+    return Lines(slope, intercept, free_intercepts(information, is_disturbed(levels.radiometer, level)), levels, shared)
 
 
 def _find_wider(
@@ -343,9 +350,45 @@ def continue_lines(lines: Lines, power: Floats, sky_power: Floats, relative_vari
     gradient, more = _weigh_events(residual, sky_power, inverse_model, relative_variance, lines.levels, lines.shared)
     information = lines.information + more
     step = _solve(information, gradient)
+    disturbed = is_disturbed(lines.levels.radiometer, lines.power(sky_power).mean(axis=1))
+    information = free_intercepts(information, disturbed)
     return replace(
         lines, slope=lines.slope + step[:, 0], intercept=lines.intercept + step[:, 1], information=information
     )
+
+
+def is_disturbed(radiometer: Floats, level: Floats) -> NDArray[np.bool_]:
+    """Channels with interference that comes and goes, by their scatter, or is strong, by their power, (path, freq).
+
+    Strong lines bend the chain so far that none stands out of it.
+    """
+    beside = ((0, 0), (BESIDE, BESIDE))
+    scatter, power = (
+        np.lib.stride_tricks.sliding_window_view(np.pad(one, beside, mode="reflect"), 2 * BESIDE + 1, axis=1)
+        for one in (radiometer, level)
+    )
+    next_to = np.maximum(power[..., BESIDE - 1], power[..., BESIDE + 1])
+    return np.asarray((radiometer > EXCESS_SCATTER * np.median(scatter, axis=2)) | (level > LOUD * next_to))
+
+
+def find_free(information: Floats) -> NDArray[np.bool_]:
+    """Channels whose intercepts say nothing, shape (path, freq)."""
+    return np.asarray(np.einsum("pii->pi", information)[:, information.shape[1] // 2 :] == 0.0)
+
+
+def free_intercepts(information: Floats, is_free: NDArray[np.bool_]) -> Floats:
+    """Information about lines once the intercepts of some channels say nothing, shape (path, 2 freq, 2 freq).
+
+    Interference adds to them, and slopes are right where it does not follow the sky.
+    """
+    information = information.copy()
+    for path in np.flatnonzero(is_free.any(axis=1)).tolist():
+        whole, at = information[path], is_free.shape[1] + np.flatnonzero(is_free[path])
+        side = whole[:, at]
+        left = whole - side @ solve_symmetric(whole[np.ix_(at, at)], side.T)
+        left[at] = left[:, at] = 0.0
+        information[path] = left
+    return information
 
 
 def _unweighted_lines(power: Floats, sky_power: Floats, is_present: Floats) -> tuple[Floats, Floats]:

@@ -175,8 +175,7 @@ def test_where_the_chain_is_wrong_everywhere_no_channel_is_accused():
 
 def test_flags_say_what_is_wrong_with_a_channel():
     error = np.array([[0.01, 0.12, 0.14, 0.49, 0.51, np.nan, 0.02, 0.02]])
-    scatter = np.array([[1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.6, 1.0]])
-    steady = np.zeros(error.shape, dtype=bool)
-    steady[0, 1] = True
+    disturbed = np.zeros(error.shape, dtype=bool)
+    disturbed[0, [1, 6]] = True
     expected = ["ok", "interference", "uncertain", "uncertain", "outside", "outside", "interference", "ok"]
-    assert flag_channels(error, scatter, steady)[0].tolist() == expected
+    assert flag_channels(error, disturbed)[0].tolist() == expected
