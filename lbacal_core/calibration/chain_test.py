@@ -109,12 +109,15 @@ class ChainTest:
     ----------
     chi2, dof
         Chi^2 and its degrees of freedom, both shape (path,).
+    behind
+        What is added behind the antenna, in standard deviations, skies of the prior allowed, shape (path, constant).
     gain
         Ln of the probability of the data without each mistake over that with it, shape (path, mistake).
     """
 
     chi2: Floats
     dof: Floats
+    behind: Floats
     gain: Floats
 
     @property
@@ -186,9 +189,11 @@ class FittedPaths:
             seen = self._see(p, series, mistakes)
             residual, of_sky_modes = seen.whiten(seen.value), seen.whiten(seen.of_modes.T)
             dof = seen.value.size - len(self.terms.names) - float(np.sum(of_sky_modes**2))
-            found.append((float(np.sum(residual**2)), dof, *seen.gain_of(seen.of_mistakes).tolist()))
-        table = np.array(found, dtype=float).reshape(-1, 2 + mistakes)
-        return ChainTest(table[:, 0], table[:, 1], table[:, 2:])
+            behind = seen.measure_constants()[len(self.terms.front) :]
+            found.append((float(np.sum(residual**2)), dof, *behind, *seen.gain_of(seen.of_mistakes).tolist()))
+        first = 2 + len(self.terms.behind)
+        table = np.array(found, dtype=float).reshape(-1, first + mistakes)
+        return ChainTest(table[:, 0], table[:, 1], table[:, 2:first], table[:, first:])
 
     def compare(self, predictions: Floats) -> Floats:
         """Ln of the probability of the data of one path under other predictions over that under its own fit.
@@ -284,6 +289,12 @@ class _Seen:
         flat = vectors.reshape(self.value.size, -1)
         columns, white = self.whitener @ self.columns, self.whitener @ flat
         return np.asarray(white - columns @ solve_symmetric(columns.T @ columns, columns.T @ white))
+
+    def measure_constants(self) -> Floats:
+        """The noise constants in standard deviations, shape (constant,); those in front beside the fitted ones."""
+        columns = self.whitener @ self.columns
+        inverse = invert_symmetric(columns.T @ columns)
+        return np.asarray(inverse @ columns.T @ (self.whitener @ self.value) / np.sqrt(np.diag(inverse)))
 
     def gain_of(self, responses: Floats) -> Floats:
         """Ln of the probability of r about each response over that about 0; shape (response, number) to (response,)."""

@@ -72,6 +72,7 @@ from lbacal_core.errors import BadInputError, require_name
 from lbacal_core.grids import Floats, require_same_grid
 from lbacal_core.instrument.chain import Intercepts, calibration_factor
 from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.linear import fit_least_squares
 from lbacal_core.provenance import Provenance
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.blocks import Recorded
@@ -82,7 +83,9 @@ ONE_TIME_BINS = 12
 SMALLEST_OF_LIMIT = 0.7
 """Scatter over the least that radiometer noise allows; that of amplitudes instead of powers is at most 0.56."""
 MOST_NEGATIVE = 6.0
-"""Standard deviations by which a noise constant is negative and not by chance."""
+"""Standard deviations by which a noise constant is negative, and neither by chance nor by another sky."""
+REVERSED, LEAST_REVERSED = "channels in reverse order", 0.3
+"""R.m.s. of ln C^2 over that of the chain, its slope left out, that is at least halved by the other order."""
 SHARE_OF_MISFITS = 0.5
 TOO_SMALL = (TOO_FEW_EVENTS, TOO_FEW_LST_BINS)
 """What a window with the same hardware, or the nearest, makes up for."""
@@ -150,6 +153,7 @@ def fit_calibration(
     fitted = [one for curves, *_ in batches for one in curves]
     fitted.sort(key=lambda c: (c[0].station or "", -1 if c[0].antenna is None else c[0].antenna, c[0].dipole or ""))
     mistaken = {} if prior is None else name_mistakes([(curve, tried) for curve, tried, _ in fitted], prior.mistakes)
+    mistaken |= {curve.owner: REVERSED for curve, *_ in fitted if _is_reversed(curve, instrument)}
     following = stations_that_follow([waves for *_, waves in batches])
     curves = _share_misfits(
         [
@@ -191,6 +195,18 @@ def _digest_of(instrument: Instrument, spectra: Recorded, scope: str) -> str:
     (first, last), stations = spectra.span_unix, list({station for station, *_ in spectra.quarter_hashes})
     station = stations[0] if scope != "array" and len(stations) == 1 else None
     return instrument.digest_of(first, float(np.nextafter(last, np.inf)), station)
+
+
+def _is_reversed(curve: CalibrationCurve, instrument: Instrument) -> bool:
+    """Whether the slopes of a curve have the form of the chain in the other order, as a mirrored band has."""
+    if curve.c is None:
+        return False
+    gain = np.log(instrument.antenna_gain)
+    chain, found = gain + np.log(instrument.receiver_gain), gain - 2.0 * np.log(curve.filled(curve.c))
+    line = np.stack([np.ones(gain.size), curve.frequency_mhz], axis=1)
+    left = np.stack([found - chain, found[::-1] - chain], axis=1)
+    straight, reverse = np.std(left - line @ fit_least_squares(line, left), axis=0)
+    return bool(straight > max(LEAST_REVERSED, 2.0 * reverse))
 
 
 _Fitted = tuple[
@@ -265,8 +281,7 @@ def _fit_paths(
     tested, waves = fitted.test(), see_gain_waves(fitted, chain_forms(instrument))
     scatter = np.median(lines.levels.radiometer, axis=1) if paths.scatter is None else paths.scatter
     is_odd = scatter[good] < SMALLEST_OF_LIMIT * paths.smallest_scatter
-    of_alone = np.einsum("pii->pi", alone.covariance)[of_good, channels + len(terms.front) :]
-    is_odd |= np.any(alone.q[of_good] < -MOST_NEGATIVE * np.sqrt(of_alone), axis=1)
+    is_odd |= np.any(tested.behind < -MOST_NEGATIVE, axis=1)
     is_unlikely = is_improbable(alone.chi2[of_good], _count_dof(alone, free_alone, terms)[of_good])
     dof = _count_dof(solution, is_free, terms)
     is_misfit = set(good[tested.is_misfit | (is_odd & is_unlikely)].tolist())

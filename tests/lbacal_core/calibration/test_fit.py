@@ -290,7 +290,8 @@ WRONG_SPECTRA = {
 @pytest.mark.parametrize("is_own_sky", [True, False])
 def test_wrong_spectra_are_a_misfit(superterp_campaign, kind, scope, is_own_sky):
     """All of these converged without a word, with C off by up to a half."""
-    likely = {"X and Y exchanged": "dipoles X and Y exchanged", "summer time": "times 2 h too late"}
+    likely = {"X and Y exchanged": "dipoles X and Y exchanged", "summer time": "times 2 h too late",
+              "channels reversed": "channels in reverse order"}  # fmt: skip
     own, spectra = superterp_campaign
     wrong = WRONG_SPECTRA[kind](spectra)
     report = fit_calibration(wrong, own if is_own_sky else own.at_its_word(), scope)
