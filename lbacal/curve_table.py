@@ -119,7 +119,7 @@ class CurveTable(QTable):  # type: ignore[misc] # astropy has no types
         """
         curve, wanted = curve_of(self), convert_numbers(frequency, u.MHz)
         known = curve.frequency_mhz[curve.has_value]
-        if not np.all((wanted >= known[0]) & (wanted <= known[-1])):
+        if wanted.size == 0 or not np.all((wanted >= known[0]) & (wanted <= known[-1])):
             raise BadInputError("at", f"{known[0]:g} to {known[-1]:g} MHz, where C is known", f"{wanted} MHz")
         weights = np.zeros((wanted.size, curve.frequency_mhz.size))
         weights[:, curve.has_value] = np.array([np.interp(wanted.ravel(), known, row) for row in np.eye(known.size)]).T

@@ -57,12 +57,15 @@ class Antenna:
         C relative.
     gain_source
         Where a G_ant in m^2 comes from, in words; None for one that is in m^2 up to a factor.
+    doubt
+        Probability that the antenna is another than `model`: 0 where it was measured; None for 1 in 20.
     """
 
     model: str
     arms: Mapping[str, Any]
     gain: Any = 1.0
     gain_source: str | None = None
+    doubt: float | None = None
 
 
 class Instrument:
@@ -121,6 +124,7 @@ class Instrument:
             ),
             antenna=antenna.model,
             sky=sky,
+            antenna_doubt=antenna.doubt,
             dipole_tilt_deg={letter: tilt for letter, tilt in tilts.items() if tilt},
             gain_provenance=None if antenna.gain_source is None else GainProvenance(ABSOLUTE, antenna.gain_source),
             stages=stages,

@@ -118,7 +118,8 @@ def draw_noise(mhz: Floats, terms: Mapping[str, Floats], title: str, unit: str =
     series = []
     for k, (name, values) in enumerate(terms.items()):
         titles = [f"{name} {nu:g} MHz: {value:.4g} {unit}" for nu, value in zip(mhz, values, strict=True)]
-        series.append(Series(LINE, mhz, values, name=name, colour=k % 7, style=k // 7, titles=titles))
+        shown = name if np.any(values > 0) else f"{name}: negative"
+        series.append(Series(LINE, mhz, values, name=shown, colour=k % 7, style=k // 7, titles=titles))
     return Chart(title, FREQUENCY, f"power ({unit})", series, scales=("linear", "log"))
 
 

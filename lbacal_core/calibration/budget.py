@@ -161,7 +161,7 @@ def compute_budget(spectra: Recorded, simulation: Simulation, sky_budget: str = 
             terms += _gain_terms(simulation.instrument, list(refits))
         unsure: Mapping[str, NDArray[np.bool_]] = {}
         if prior is not None and prior.antennas and refits:
-            of_antennas, unsure = _doubt_antenna(refits, prior)
+            of_antennas, unsure = _doubt_antenna(refits, prior, simulation.instrument.antenna_doubt)
             terms += of_antennas
         terms += _doubt_instrument(refits, simulation)
         if refits:
@@ -170,7 +170,7 @@ def compute_budget(spectra: Recorded, simulation: Simulation, sky_budget: str = 
 
 
 def _doubt_antenna(
-    refits: Mapping[str, _Refit], prior: SkyPrior
+    refits: Mapping[str, _Refit], prior: SkyPrior, doubt: float | None
 ) -> tuple[list[BudgetTerm], dict[str, NDArray[np.bool_]]]:
     """What C would be with other antennas, each by the root of the probability that it is that one.
 
@@ -178,7 +178,8 @@ def _doubt_antenna(
     """
     tried = {p: refit.try_antennas(prior) for p, refit in refits.items()}
     gain = np.sum([one for one, _ in tried.values()], axis=0)
-    log_odds = gain + np.log([one.share for one in prior.antennas]) + logit(read_prior()["other_antenna"].size)
+    of_any = read_prior()["other_antenna"].size if doubt is None else doubt
+    log_odds = gain + np.log([one.share for one in prior.antennas]) + logit(of_any)
     probability = np.exp(log_odds - np.logaddexp(0.0, logsumexp(log_odds)))
     changes = {p: np.array([_finite(one) for one in found]) for p, (_, found) in tried.items()}
     unsure = {p: probability @ (np.abs(one) > LARGEST_GOOD_ERROR) > LEAST_LIKELY for p, one in changes.items()}

@@ -59,6 +59,8 @@ class Instrument:
     antenna, sky
         Antenna model and sky model, by name or file, that the package's own P_sky is computed with unless others are
         given; None where the instrument names none.
+    antenna_doubt
+        Probability that the antenna is another than is named; None where nobody says (`prior.toml`, other_antenna).
     gain_provenance
         What `antenna_gain` is; None where nobody says.
     dipole_tilt_deg
@@ -88,6 +90,7 @@ class Instrument:
     antennas: Sequence[AntennaRecord]
     antenna: str | None = None
     sky: str | None = None
+    antenna_doubt: float | None = None
     gain_provenance: GainProvenance | None = None
     dipole_tilt_deg: Mapping[str, float] = dataclasses.field(default_factory=dict)
     stages: Sequence[Stage] = ()
@@ -105,6 +108,7 @@ class Instrument:
         self._require_shape_error()
         self._require_stages()
         self._require_kelvin()
+        self._require_doubt()
         for cable, loss in self.cables.items():
             self._require_gain(f"cables.{cable}", loss, 1.0)
         for row, record in enumerate(self.antennas):
@@ -192,6 +196,11 @@ class Instrument:
             if not 0 < self.kelvin_error < 1:
                 raise BadInputError(f"{place}.error", "a fraction of the power, 0 to 1", f"{self.kelvin_error}")
 
+    def _require_doubt(self) -> None:
+        if self.antenna_doubt is not None and not 0 <= self.antenna_doubt < 1:
+            place = f"instrument {self.name}: antenna_doubt"
+            raise BadInputError(place, "a probability, 0 to below 1", f"{self.antenna_doubt}")
+
     def _require_square_metres(self, place: str, found: str) -> None:
         if self.gain_provenance is None or self.gain_provenance.kind != ABSOLUTE:
             raise BadInputError(
@@ -272,6 +281,7 @@ class Instrument:
             "antennas": [record_as_dict(record) for record in self.antennas],
             **({} if self.antenna is None else {"antenna": self.antenna}),
             **({} if self.sky is None else {"sky": self.sky}),
+            **({} if self.antenna_doubt is None else {"antenna_doubt": self.antenna_doubt}),
             **({} if self.gain_provenance is None else {"antenna_gain_provenance": self.gain_provenance.as_dict()}),
             **({"stages": [stage.as_dict() for stage in self.stages]} if self.stages else {}),
             **({} if self.kelvin_error is None else {"calibrated_in_kelvin": {"error": self.kelvin_error}}),
@@ -418,6 +428,9 @@ def parse_instrument(content: Any, place: str, folder: Path | None = None) -> In
         antennas=tuple(parse_record(record, f"{place}: antennas, row {k}") for k, record in enumerate(antennas)),
         antenna=parse_optional_name(content.get("antenna"), f"{place}: antenna"),
         sky=parse_optional_name(content.get("sky"), f"{place}: sky"),
+        antenna_doubt=None
+        if (doubt := content.get("antenna_doubt")) is None
+        else parse_number(doubt, f"{place}: antenna_doubt"),
         gain_provenance=parse_gain_provenance(
             content.get("antenna_gain_provenance"), len(content["frequency_mhz"]), f"{place}: antenna_gain_provenance"
         ),

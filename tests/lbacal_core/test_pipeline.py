@@ -345,6 +345,15 @@ def test_a_channel_without_c_counts_for_nothing_and_is_null():
     assert as_json(SkyOverModel(**with_arrays(content))) == content
 
 
+def test_the_doubt_about_an_antenna_is_a_probability_that_is_kept():
+    given = parse_instrument(make_content() | {"antenna_doubt": 0.001}, "measured")
+    assert given.antenna_doubt == 0.001
+    assert parse_instrument(given.as_dict(), "again").digest() == given.digest()
+    for wrong in (1.0, -0.1):
+        with pytest.raises(BadInputError, match=r"antenna_doubt: expected a probability, 0 to below 1, found"):
+            parse_instrument(make_content() | {"antenna_doubt": wrong}, "measured")
+
+
 @pytest.mark.parametrize(
     ("field", "value", "message"),
     [

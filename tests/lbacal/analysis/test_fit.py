@@ -216,6 +216,8 @@ def test_a_value_on_a_channel_is_that_of_the_channel_and_between_two_lies_betwee
     np.testing.assert_allclose(np.sqrt(np.diag(between.covariance.value)), between.sigma.to_value(u.V))
     with pytest.raises(BadInputError, match="at: expected 50 to 79 MHz"):
         curve.at(81)
+    with pytest.raises(BadInputError, match="where C is known"):
+        curve.at([])
     with pytest.raises(BadInputError, match="2 paths"):
         found.table[np.isin(found.table["dipole"], ["E"])].mean(50, 60)
 

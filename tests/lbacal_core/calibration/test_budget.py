@@ -139,8 +139,11 @@ def test_the_budget_covers_what_a_wrong_antenna_does_to_c(study):
 def test_another_antenna_of_a_probability_below_one_percent_made_a_good_year_wait(probability, is_flagged):
     gain = np.array([logit(probability) - logit(read_prior()["other_antenna"].size)])
     refit = SimpleNamespace(try_antennas=lambda _: (gain, np.array([[0.12, 0.5]])))
-    _, unsure = _doubt_antenna({"X": refit}, SimpleNamespace(antennas=[SimpleNamespace(name="one", share=1.0)]))
+    prior = SimpleNamespace(antennas=[SimpleNamespace(name="one", share=1.0)])
+    _, unsure = _doubt_antenna({"X": refit}, prior, None)
     assert unsure["X"].tolist() == [False, is_flagged]
+    terms, unsure = _doubt_antenna({"X": refit}, prior, 0.0)
+    assert (terms, unsure["X"].any()) == ([], False), "an antenna that was measured is no other"
 
 
 @pytest.mark.parametrize("height_m", [1.27, 1.36])
