@@ -43,7 +43,7 @@ EXCESS_SCATTER = 1.5
 BESIDE = 3
 """Channels on either side."""
 LOUD = 3.0
-"""Power over that of the louder channel next to it: no antenna's resonance is as narrow as a channel."""
+"""Power over that of the louder channel next to it; weaker lines stand out of the chain."""
 SMALLEST_ANGLE = 1e-3
 """Angle of a vector to those before it below which only rounding tells them apart."""
 CHANNELS_PER_VECTOR = 8
@@ -323,7 +323,8 @@ def _fit_part(
         directions = np.concatenate([along / mean_sky, -along], axis=2)
         for k in np.flatnonzero(wider.any(axis=0)).tolist():
             information = add_variance(information, directions[:, k], wider[:, k])
-    return Lines(slope, intercept, free_intercepts(information, is_disturbed(levels.radiometer, level)), levels, shared)
+    disturbed = is_disturbed(levels.radiometer, level, slope)
+    return Lines(slope, intercept, free_intercepts(information, disturbed), levels, shared)
 
 
 def _find_wider(
@@ -350,25 +351,29 @@ def continue_lines(lines: Lines, power: Floats, sky_power: Floats, relative_vari
     gradient, more = _weigh_events(residual, sky_power, inverse_model, relative_variance, lines.levels, lines.shared)
     information = lines.information + more
     step = _solve(information, gradient)
-    disturbed = is_disturbed(lines.levels.radiometer, lines.power(sky_power).mean(axis=1))
+    disturbed = is_disturbed(lines.levels.radiometer, lines.power(sky_power).mean(axis=1), lines.slope)
     information = free_intercepts(information, disturbed)
     return replace(
         lines, slope=lines.slope + step[:, 0], intercept=lines.intercept + step[:, 1], information=information
     )
 
 
-def is_disturbed(radiometer: Floats, level: Floats) -> NDArray[np.bool_]:
+def is_disturbed(radiometer: Floats, level: Floats, slope: Floats) -> NDArray[np.bool_]:
     """Channels with interference that comes and goes, by their scatter, or is strong, by their power, (path, freq).
 
-    Strong lines bend the chain so far that none stands out of it.
+    Strong lines bend the chain so far that none stands out of it. A channel is loud by itself and over its slope: one
+    by a resonance has a large slope, too, and one at the end of the band little power.
     """
-    beside = ((0, 0), (BESIDE, BESIDE))
-    scatter, power = (
-        np.lib.stride_tricks.sliding_window_view(np.pad(one, beside, mode="reflect"), 2 * BESIDE + 1, axis=1)
-        for one in (radiometer, level)
-    )
-    next_to = np.maximum(power[..., BESIDE - 1], power[..., BESIDE + 1])
-    return np.asarray((radiometer > EXCESS_SCATTER * np.median(scatter, axis=2)) | (level > LOUD * next_to))
+
+    def put_beside(values: Floats) -> Floats:
+        padded = np.pad(values, ((0, 0), (BESIDE, BESIDE)), mode="reflect")
+        return np.lib.stride_tricks.sliding_window_view(padded, 2 * BESIDE + 1, axis=1)
+
+    is_loud = np.ones(level.shape, dtype=bool)
+    for one in (level, level / np.maximum(slope, 1e-300)):
+        beside = put_beside(one)
+        is_loud &= one > LOUD * np.maximum(beside[..., BESIDE - 1], beside[..., BESIDE + 1])
+    return np.asarray(is_loud | (radiometer > EXCESS_SCATTER * np.median(put_beside(radiometer), axis=2)))
 
 
 def find_free(information: Floats) -> NDArray[np.bool_]:

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.calibration.lines import PathLines, fit_lines, move_lines, move_lines_by
+from lbacal_core.calibration.lines import PathLines, fit_lines, is_disturbed, move_lines, move_lines_by
 from lbacal_core.calibration.paths import paths_of_scope, radiometer_limit, require_one_cable_each
 from lbacal_core.calibration.singles import chain_forms
 from lbacal_core.grids import Floats
@@ -181,3 +181,20 @@ def test_a_mean_knows_the_scatter_of_the_single_spectra(scene, spectra):
         paths = read()
         assert paths.scatter == pytest.approx(0.045, rel=0.03)
         assert paths.smallest_scatter == pytest.approx(1280**-0.5)
+
+
+@pytest.mark.parametrize(
+    ("scatter", "power", "slope", "expected"),
+    [
+        (1.6, 1.0, 1.0, True),
+        (1.0, 4.0, 1.0, True),
+        (1.0, 4.0, 4.0, False),
+        (1.0, 1.0, 0.2, False),
+        (1.0, 4.0, -0.1, True),
+    ],
+    ids=["comes and goes", "carrier", "resonance", "filter", "carrier without a slope"],
+)
+def test_a_channel_is_disturbed_by_its_scatter_or_by_power_that_its_slope_has_not(scatter, power, slope, expected):
+    channel = np.arange(12) == 6
+    levels = (np.where(channel, value, 1.0)[None] for value in (scatter, power, slope))
+    assert np.flatnonzero(is_disturbed(*levels)).tolist() == [6] * expected
