@@ -54,6 +54,9 @@ UNKNOWN = (
     "which paths are dead, and whether clock, place or letters are wrong; the LST of a sky power file may be"
 )
 """Why the data of a path with enough events at enough sidereal times do not determine C."""
+UNSTEADY, FEWEST_PATHS = 3.0, 4
+"""Scatter from event to event over that of the typical path that is told, where there are so many: gains of working
+antennas scatter alike, one with a quarter of its events at twice the power by ten times as much."""
 NEXT_STEP = "lbacal.investigate(spectra, instrument).save('R.html')"
 """What to do where a curve is a misfit; the command says it in its own words."""
 
@@ -214,6 +217,7 @@ def _describe_rest(report: FitReport, simulation: Simulation, spectra: int) -> I
             f"anomalous power: {anomalies.left_out} of {spectra} spectra left out, {anomalies.fitted} "
             f"fitted; worst: {anomalies.name_worst(3)}"
         )
+    yield from _describe_unsteady(report)
     misfits = [curve for curve in report.curves if curve.status == MISFIT]
     if misfits:
         yield f"{_describe_misfits(misfits, is_own_sky=bool(simulation.is_own_sky))}; next: {NEXT_STEP}"
@@ -232,6 +236,20 @@ def _describe_rest(report: FitReport, simulation: Simulation, spectra: int) -> I
     for curve, reference in zip(report.curves, report.chains, strict=True):
         if reference is not None and curve.antenna is None:
             yield f"{curve.name}: {_describe_chain(reference)}"
+
+
+def _describe_unsteady(report: FitReport) -> Iterator[str]:
+    """The paths whose gain scatters from event to event far more than the typical path's."""
+    names = {(one.station, one.antenna, one.dipole): one.name for one in report.curves if one.antenna is not None}
+    every = [one for kept in report.lines for one in zip(kept.owners, kept.scatter.tolist(), strict=True)]
+    of = {names[owner]: scatter for owner, scatter in every if owner in names}
+    typical = float(np.median([*of.values(), 0.0]))
+    for name, scatter in of.items():
+        if len(of) >= FEWEST_PATHS and scatter > UNSTEADY * typical:
+            yield (
+                f"{name}: its power scatters by {100 * scatter:.0f} % from event to event, that of the typical path by "
+                f"{100 * typical:.0f} %: it changed, or fails at times, and C is that of the mean"
+            )
 
 
 def _has_no_c(curve: CalibrationCurve) -> bool:

@@ -485,22 +485,24 @@ class CommonChange:
     slope
         Slope of each antenna on it, shape (antenna,): negative for those that run against it.
     likeness, error
-        How closely working antennas follow it; and that with the noise.
+        How closely working antennas follow it; and that with the noise of each, shape (antenna,).
     """
 
     change: Floats
     slope: Floats
     likeness: float
-    error: float
+    error: Floats
 
 
 def _find_common_change(ratio: Floats) -> CommonChange | None:
     """The first principal component of a ratio of shape (antenna, time); None where noise alone could be as large.
 
-    It does not care how many antennas run against it.
+    It does not care how many antennas run against it. An antenna that changes by itself, by far more, has no say.
     """
     own = ratio - np.nanmean(ratio, axis=1, keepdims=True)
     own = np.where(np.isfinite(own), own, 0.0)
+    size = own.std(axis=1, keepdims=True)
+    whole, own = own, own * np.minimum(1.0, np.median(size) / np.maximum(size, TINY))
     if ratio.shape[1] < FEWEST_TIMES or not own.any():
         return None
     loadings, strengths, changes = np.linalg.svd(own, full_matrices=False)
@@ -508,11 +510,12 @@ def _find_common_change(ratio: Floats) -> CommonChange | None:
     noise = float(np.median(spread(rest, axis=1)))
     if strengths[0] < ABOVE_NOISE * noise * (own.shape[0] ** 0.5 + own.shape[1] ** 0.5):
         return None
-    typical = float(np.median(np.abs(loadings[:, 0])))
-    slope = loadings[:, 0] / typical
+    along = whole @ changes[0]
+    typical = float(np.median(np.abs(along)))
+    slope = along / typical
     likeness = max(SMALLEST_SLOPE_ERROR, float(spread(np.abs(slope))))
-    error = float(np.hypot(likeness, noise / (typical * strengths[0])))
-    return CommonChange(typical * strengths[0] * changes[0], slope, likeness, error)
+    left = np.maximum(np.std(whole - np.outer(along, changes[0]), axis=1), noise)
+    return CommonChange(typical * changes[0], slope, likeness, np.hypot(likeness, left / typical))
 
 
 def _find_dated(rows: NDArray[np.int64], ratio: Floats, common: CommonChange, time: Floats) -> list[ExchangedPart]:

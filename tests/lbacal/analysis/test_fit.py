@@ -48,6 +48,15 @@ def test_an_instrument_from_its_parts_is_that_of_its_file(tmp_path):
     assert repr(made).startswith("<Instrument mine: 2 antennas with E, N, UP, 30 channels 50-79 MHz")
 
 
+def test_a_path_that_was_at_twice_the_power_for_a_quarter_of_its_events_is_named(found):
+    spectra = found.spectra
+    late = (spectra.time_unix > np.quantile(spectra.time_unix, 0.75)) & (spectra.antenna == 1) & (spectra.dipole == "N")
+    changed = replace(spectra, power=np.where(late[:, None], 2.0, 1.0) * spectra.power)
+    (said,) = [note for note in lbacal.fit(changed, found.instrument).notes if "changed, or fails at times" in note]
+    assert said.startswith("S1 antenna 1 N: its power scatters by 3")
+    assert not any("fails at times" in note for note in found.notes)
+
+
 @pytest.mark.parametrize("ask", [lbacal.fit, lbacal.investigate, lbacal.audit])
 def test_data_whose_arms_point_elsewhere_than_the_instrument_s_are_refused(found, ask):
     turned = replace(found.spectra, arms_deg={"E": 270.4, "N": 44.0})

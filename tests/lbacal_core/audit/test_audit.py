@@ -180,6 +180,14 @@ def test_half_of_the_antennas_by_6_db_are_no_decibels(year):
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("antenna", [0, 2, 5])
+def test_an_antenna_whose_gain_doubles_for_a_quarter_of_the_year_is_not_exchanged(year, antenna):
+    """Its step was the strongest change of ln P_X - ln P_Y, which the others ran against."""
+    late = (year.time_unix > np.quantile(year.time_unix, 0.75)) & (year.antenna == antenna) & (year.dipole == "X")
+    stepped = replace(year, power=np.where(late[:, None], 2.0, 1.0) * year.power)
+    assert audit_quickly(stepped, SUPERTERP).sentence.startswith("nothing wrong")
+
+
 def test_power_times_four_in_the_first_half_of_the_year_is_a_misfit_and_two_chains(year):
     """It was `converged`, and nothing was wrong: C stood for neither half."""
     first = year.time_unix[:, None] < np.median(year.time_unix)
