@@ -299,7 +299,8 @@ class Calibrations:
             waiting = next((one for one in alike if one.scope != scope or one.made > version.made), None)
             between = epoch, waiting, _find_dismissed(dismissed, scope, version)
             over = [cut for cut in cuts[scope] if bridging.get((scope, cut.date)) == promotion.calibration]
-            warnings = [*(_warn_over(cut, promotion, version, at) for cut in over), *left_out.get(path, [])]
+            warnings = [_warn_over(cut, promotion, version, at) for cut in over]
+            warnings += [*_warn_of_both(path, version, of_antenna), *left_out.get(path, [])]
             changed = next(filter(None, warnings), None)
             slow = find_slow(scope, of_antenna)
             served, step = (promotion, is_held, trace), at // SLOW_STEP_US
@@ -420,6 +421,14 @@ def _warn_over(cut: Cut, said: Promotion, version: Version, at: Instant) -> str 
     side = "before" if version.until <= cut.date else "after"
     told = f"{who} changed on {day}: {said.by} put a version of {side} it into effect over it ({said.reason})"
     return None if (at < cut.date) == (side == "before") else told
+
+
+def _warn_of_both(path: Scope, version: Version, of_antenna: ByAntenna) -> Iterator[str]:
+    """Warnings about C of a version over a change that is no fit of the windows which that cuts: a mean, or a pin."""
+    for one in _of(of_antenna, path.station, path.antenna):
+        if one.cuts and concerns(one, path.antenna, path.dipole) and version.is_over(one.change.date):
+            who, day = name_path(path.station, path.antenna), format_instant(one.change.date)[:10]
+            yield f"{who} changed on {day} (change {one.number}): C in effect was fitted to spectra of before and after"
 
 
 def _find_epoch(path: Scope, at: Instant, of_antenna: ByAntenna, records: Sequence[AntennaRecord]) -> Epoch:

@@ -100,6 +100,22 @@ def test_a_version_that_a_person_put_over_a_change_is_told_as_that(
     assert factory.changes.waiting() == []
 
 
+@pytest.mark.parametrize(("name", "start"), [("station", "2014-01-01"), ("path", "2016-01-01")])
+def test_a_mean_over_a_change_of_its_path_and_a_pin_that_was_fitted_over_one_were_served_as_ok(
+    client: TestClient, stored: Stored, name: str, start: str
+) -> None:
+    paths = [{"station": "CS001", "antenna": 0, "dipole": "X"}]
+    body = {"paths": paths, "at": {"value": "2014-07-01"}, "reason": "test"}
+    assert client.post("/v1/changes", json=body).status_code == 201
+    promote(client, stored[name], start)
+    (curve,) = ask(client, "2016-08-01", **PATH).json()["curves"]
+    said = "CS001 antenna 0 changed on 2014-07-01 (change 1): C in effect was fitted to spectra of before and after"
+    assert (set(curve["flag"]), curve["flag_reason"].split("; ")[0]) == ({"uncertain"}, said)
+    if name == "station":
+        (other,) = ask(client, "2016-08-01", **PATH | {"dipole": "Y"}).json()["curves"]
+        assert said not in str(other["flag_reason"])
+
+
 def test_the_narrowest_scope_in_effect_answers_and_says_so(client: TestClient, stored: Stored) -> None:
     promote(client, stored["array"], "2013-01-01")
     promote(client, stored["station"], "2014-01-01", "2015-01-01")
