@@ -22,6 +22,8 @@ from lbacal_core.provenance import hash_arrays, hash_content
 
 FORMAT = "lbacal-spectra-1"
 EARLIEST_UNIX = datetime(2009, 1, 1, tzinfo=UTC).timestamp()
+FAR_UNIX = 1e11
+"""An instant beyond this, in the year 5138, is told as a number, s UTC."""
 NO_SPECTRA = "expected a spectra file (HDF5), found something unreadable"
 DAY_S = 86_400.0
 BLOCK_S = 1024 / 200e6
@@ -62,6 +64,10 @@ def span_of_record(now_unix: float) -> tuple[float, float]:
     From 2009 (LOFAR's first dumps are older) to a day ahead of `now_unix`.
     """
     return EARLIEST_UNIX, now_unix + DAY_S
+
+
+def _write_instant(time_unix: float) -> str:
+    return f"{datetime.fromtimestamp(time_unix, UTC):%Y-%m-%dT%H:%M:%SZ}"
 
 
 @dataclass(frozen=True)
@@ -177,6 +183,8 @@ class Spectra:
         row = int(bad[0])
         values = self.environment[name.removeprefix("env/")] if name.startswith("env/") else getattr(self, name)
         found = repr(str(values[row])) if name in ("event_id", "station", "dipole") else f"{values[row]}"
+        if name == "time_unix" and abs(values[row]) < FAR_UNIX:
+            found = f"{_write_instant(values[row])} ({found} s UTC)"
         if name == "power":
             channel = int(np.flatnonzero(~(np.isfinite(values[row]) & (values[row] > 0)))[0])
             found = f"{values[row, channel]} at {self.frequency_mhz[channel]:g} MHz"
@@ -246,7 +254,7 @@ class Spectra:
         """Refuse spectra of instants beyond `span_of_record`."""
         first, last = span_of_record(now_unix)
         self._require("time_unix", self.time_unix >= first, "an instant of 2009 or later (s UTC)")
-        limit = f"an instant not after {datetime.fromtimestamp(now_unix, UTC):%Y-%m-%d} (s UTC)"
+        limit = f"an instant not after {_write_instant(last)}, a day ahead of now"
         self._require("time_unix", self.time_unix <= last, limit)
 
     @property

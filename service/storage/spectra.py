@@ -424,6 +424,13 @@ class SpectraStore(Store):
         row = self._connection.execute(select(func.min(event.c.time_us), func.max(event.c.time_us))).one()
         return None if row[0] is None else (int(row[0]), int(row[1]))
 
+    def newest_until(self, instant: Instant) -> Instant | None:
+        """The newest event not after an instant: a clock that is ahead dates some after now; None without."""
+        newest: Instant | None = self._connection.execute(
+            select(func.max(event.c.time_us)).where(event.c.time_us <= instant)
+        ).scalar_one()
+        return newest
+
     def newest_by_path(self) -> dict[Scope, Instant]:
         """The instant of the newest spectrum of every path that has any, in order of the paths."""
         last = select(event.c.id).order_by(event.c.time_us.desc()).limit(EVENTS_BESIDE).subquery()

@@ -238,11 +238,11 @@ class Alarms:
             yield News(LOST_PATH, scope, "", sentence, content, instant)
 
     def _stale(self, stores: Stores, now: Instant) -> Iterator[News]:
-        span = stores.spectra.span()
-        if span is None or self.stale_days == 0.0 or now - span[1] < self.stale_days * DAY_US:
+        newest = stores.spectra.newest_until(now)
+        if newest is None or self.stale_days == 0.0 or now - newest < self.stale_days * DAY_US:
             return
-        sentence = f"the newest event is of {format_instant(span[1])[:10]}, more than {self.stale_days:g} days ago"
-        yield News(STALE_DATA, Scope(), "", sentence, {"newest_event": format_instant(span[1])}, span[1])
+        sentence = f"the newest event is of {format_instant(newest)[:10]}, more than {self.stale_days:g} days ago"
+        yield News(STALE_DATA, Scope(), "", sentence, {"newest_event": format_instant(newest)}, newest)
 
 
 def _with_state(alarm: Alarm, kept: Sequence[KeptChange]) -> Alarm:

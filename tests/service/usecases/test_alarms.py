@@ -106,6 +106,9 @@ def test_data_that_stopped_coming_are_stale_unless_nobody_expects_any(
     store(factory, range(40))
     factory.alarms.look()
     assert [one["kind"] for one in alarms(client)] == ["stale_data"]
+    store(factory, range(90, 91))
+    factory.alarms.look()
+    assert [one["kind"] for one in alarms(client)] == ["stale_data"], "an event dated after now ended it"
     with like(factory, stale_days=0.0) as archive:
         archive.alarms.look()
     assert alarms(client) == []
