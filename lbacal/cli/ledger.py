@@ -300,7 +300,7 @@ def print_state(state: dict[str, Any]) -> None:
     print(f"parts of jobs: {parts}")
     newest = f", the newest of {state['newest_event']}" if state["newest_event"] else ""
     gated = "1 version waits" if state["gated"] == 1 else f"{state['gated']} versions wait"
-    print(f"{state['events']} events{newest}; {gated} for a human")
+    print(f"{state['events']} usable events{newest}; {gated} for a human")
     print(f"alarms: {state['alarms']['line']}")
     for one in state["investigations"]:
         print_news(one)

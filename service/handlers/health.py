@@ -104,7 +104,7 @@ def describe_state(state: State, now: Instant) -> CollectorRegistry:
         Gauge(f"lbacal_{name}", meaning, registry=registry).set(value)
 
     tell("ready", "1 if the service can do its work.", float(state.problem is None))
-    tell("events", "Events stored.", state.events)
+    tell("events", "Events stored that are not flagged.", state.events)
     tell("gated_versions", "Versions that the gate kept back and nobody promoted.", state.gated)
     tell("failed_jobs", "Jobs that failed in 30 days and that nothing made up for.", len(state.failures))
     tell("stuck_parts", "Kinds of parts that no worker may begin.", len(state.stuck))

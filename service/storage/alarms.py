@@ -21,12 +21,17 @@ STEP = "step"
 SLOPE = "slope"
 LOST_PATH = "lost_path"
 LEFT_OUT = "left_out"
+LOST_C = "lost_c"
+RETRACTED = "retracted"
 STALE_DATA = "stale_data"
 MISFIT = "misfit"
 CAUSE_STOPPED_PAYING = "cause_stopped_paying"
 NAMED_CAUSE = "named_cause"
 FAILED_JOB = "failed_job"
-KINDS = (STEP, SLOPE, LOST_PATH, LEFT_OUT, STALE_DATA, MISFIT, NAMED_CAUSE, CAUSE_STOPPED_PAYING, FAILED_JOB)
+KINDS = (
+    STEP, SLOPE, LOST_PATH, LEFT_OUT, LOST_C, RETRACTED, STALE_DATA, MISFIT, NAMED_CAUSE, CAUSE_STOPPED_PAYING,
+    FAILED_JOB,
+)  # fmt: skip
 
 OPEN, ACKNOWLEDGED, ENDED = "open", "acknowledged", "ended"
 STATES = (OPEN, ACKNOWLEDGED, ENDED)
@@ -94,18 +99,12 @@ class Alarm:
         return OPEN if known is None or (known.until is not None and known.until <= now) else ACKNOWLEDGED
 
 
-class LeftOut(NamedTuple):
-    """How many spectra of a path, all of the newest, are left out of fits, and since when."""
+class Doubt(NamedTuple):
+    """A warning about C since an instant: of a path, or of a version wherever it answers."""
 
-    path: Scope
+    of: Scope | str
     since: Instant
-    spectra: int
-
-    @property
-    def warning(self) -> str:
-        """A warning about C since then."""
-        day = format_instant(self.since)[:10]
-        return f"all {self.spectra} spectra since {day} are left out as anomalous: C in effect is that of before"
+    warning: str
 
 
 @dataclass(frozen=True)
@@ -167,12 +166,18 @@ class AlarmStore(Store):
         statement = statement.order_by(alarm.c.id.desc()).limit(asked.limit)
         return [_value(row) for row in self._connection.execute(statement)]
 
-    def left_out(self) -> list[LeftOut]:
-        """The paths all of whose newest spectra are left out of fits."""
-        return [
-            LeftOut(parse_scope(key), one.news.since or 0, one.news.content["spectra"])
-            for one in self._of([LEFT_OUT]) if one.ended is None for key in one.news.content["paths"]
-        ]  # fmt: skip
+    def doubts(self) -> list[Doubt]:
+        """The paths all of whose newest spectra are left out of fits, and versions whose events are flagged since."""
+        found = list[Doubt]()
+        for news in (one.news for one in self._of([LEFT_OUT, RETRACTED]) if one.ended is None):
+            if news.kind == RETRACTED:
+                found += [Doubt(name, news.since or 0, why) for name, why in news.content["versions"].items()]
+                continue
+            since, spectra = news.since or 0, news.content["spectra"]
+            all_of, day = f"all {spectra} spectra since", format_instant(since)[:10]
+            warning = f"{all_of} {day} are left out as anomalous: C in effect is that of before"
+            found += [Doubt(parse_scope(key), since, warning) for key in news.content["paths"]]
+        return found
 
     def count(self, now: Instant, state: str) -> dict[str, int]:
         """How many there are in one of `STATES`, by kind."""

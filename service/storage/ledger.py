@@ -352,6 +352,11 @@ class LedgerStore(Store):
             statement = statement.where(standing.c.valid_from_us < until)
         return [_value(row) for row in self._connection.execute(statement.order_by(promotion.c.id))]
 
+    def all_standing(self) -> list[Promotion]:
+        """All promotions that can decide somewhere, oldest first."""
+        statement = select(promotion).join(standing, standing.c.promotion == promotion.c.id)
+        return [_value(row) for row in self._connection.execute(statement.order_by(promotion.c.id))]
+
     def newest_instant(self) -> Instant | None:
         """The instant of the newest promotion or tag, before which nothing can be promoted any more; None without."""
         instants = select(func.max(promotion.c.at_us)).union_all(select(func.max(tag.c.as_of_us)))

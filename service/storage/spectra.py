@@ -455,6 +455,10 @@ class SpectraStore(Store):
         statement = _joined(select(func.count())).where(*_of_scope(window.scope), *of_events, *inside)
         return int(self._connection.execute(statement).scalar_one())
 
+    def has_usable(self, window: Window) -> bool:
+        """Whether a fit of a window would have any spectrum."""
+        return self._connection.execute(_usable(select(spectrum.c.event), window).limit(1)).first() is not None
+
     def covariates_by_month(self, since: Instant, until: Instant) -> dict[str, list[tuple[Instant, Floats]]]:
         """Covariates at events of [since, until) by name: first instant and values, shape (event,), of each month."""
         statement = select(event.c.time_us, event.c.env).where(event.c.env.is_not(None)).order_by(event.c.time_us)
@@ -474,8 +478,9 @@ class SpectraStore(Store):
         return found
 
     def count_events(self) -> int:
-        """Count the stored events."""
-        return int(self._connection.execute(select(func.count()).select_from(event)).scalar_one())
+        """Count the stored events that are not flagged."""
+        usable = select(func.count()).select_from(event).where(event.c.flag.is_(None))
+        return int(self._connection.execute(usable).scalar_one())
 
     def content(self, window: Window) -> Content:
         """The content of a window: the count of its usable spectra, and the number of the last flag set in it.
@@ -489,6 +494,33 @@ class SpectraStore(Store):
         window = Window(since, until, Scope(station))
         flag = self._last_flag(window)
         return {station: (count, flag) for station, count in sorted(self._count_usable(window).items()) if count}
+
+    def last_flag(self, since: Instant, until: Instant) -> int:
+        """The number of the last flag set or cleared in a window; 0 where none ever was."""
+        return self._last_flag(Window(since, until))
+
+    def count_flagged(self, window: Window, after: Instant | None = None) -> int:
+        """Count the flagged events of a window; with `after` those that were not yet flagged then."""
+        of, scope = _of_events(window, event.c.flag.is_not(None)), window.scope
+        statement = select(func.count()).select_from(event).where(*of)
+        if after is not None:
+            then = select(func.max(event_flag.c.id)).where(event_flag.c.at_us <= after).group_by(event_flag.c.event)
+            was = select(event_flag.c.event).where(event_flag.c.id.in_(then), event_flag.c.flag.is_not(None))
+            statement = statement.where(event.c.id.not_in(was))
+        if scope.antenna is not None:
+            has = select(spectrum.c.event).join(path, path.c.id == spectrum.c.path)
+            has = has.where(spectrum.c.event == event.c.id, *_of_scope(scope))
+            statement = statement.where(has.exists())
+        elif scope.station is not None:
+            has = select(event_station.c.event).where(event_station.c.station == scope.station)
+            statement = statement.where(event.c.id.in_(has))
+        return int(self._connection.execute(statement).scalar_one())
+
+    def scopes_of(self, station: str | None) -> list[Scope]:
+        """All scopes of a station with spectra, or the array."""
+        if station is None:
+            return [Scope()]
+        return [Scope(station), *(Scope(*one[1:]) for one in self._paths(Scope(station)))]
 
     def _last_flag(self, window: Window) -> int:
         flags = select(func.coalesce(func.max(event_flag.c.id), 0)).join(event, event.c.id == event_flag.c.event)

@@ -15,14 +15,14 @@ from hashlib import sha256
 from typing import Any
 
 import numpy as np
-from sqlalchemy import select
+from sqlalchemy import delete, select
 
 from lbacal_core.curves.kept_lines import KeptLines, read_lines, write_lines
 from lbacal_core.curves.validity import Instant, Scope, parse_scope
 from lbacal_core.grids import Floats
 from lbacal_core.provenance import hash_content
 from service.schema.tables import sums
-from service.storage.rows import Store, from_row, put_rows, to_row
+from service.storage.rows import Store, equal, from_row, put_rows, to_row
 
 DRIFT = "drift"
 """The kind of the blocks of drift."""
@@ -78,6 +78,11 @@ class SumStore(Store):
         content = _pack(block.arrays)
         digest = name or sha256(content).hexdigest()
         put_rows(self._connection, sums, [to_row(block, sums, scope=block.scope.key, arrays=content, sha256=digest)])
+
+    def forget(self, scope: Scope, since: Instant, until: Instant, kind: str | None = None) -> None:
+        """Drop what is kept of a scope in a window, of a kind or of all: its spectra are no longer used."""
+        inside = sums.c.since_us >= since, sums.c.until_us <= until
+        self._connection.execute(delete(sums).where(sums.c.scope == scope.key, *inside, *equal(sums, kind=kind)))
 
     def get(self, kind: str, scope: Scope, since: Instant, until: Instant) -> Sums | None:
         """The block of a kind (as in `Sums`), scope and window; None where it is not kept."""

@@ -252,19 +252,40 @@ class Examined:
     made: Instant
 
 
+@dataclass(frozen=True)
+class Summary:
+    """A version without its curves."""
+
+    id: str
+    scope: Scope
+    since: Instant
+    until: Instant
+    made: Instant
+    events: int
+
+
 class Waiting(NamedTuple):
-    """A version that waits for a human, and the objection of the gate."""
+    """A version that waits for a human, and the objection of the gate; one that did not converge waits in vain."""
 
     calibration: str
     scope: Scope
     gate: str
     made: Instant
+    since: Instant
+    until: Instant
+    status: str
+
+    @property
+    def has_c(self) -> bool:
+        """Whether the gate alone keeps C of its own from who is answered by others."""
+        return self.status in (CONVERGED, MISFIT)
 
     @property
     def sentence(self) -> str:
         """Whose version waits, for whom, and why."""
         name = name_path(*self.scope.parts)
-        return f"version {self.calibration[:12]} of {name} waits for a person to promote it ({self.gate})"
+        waits = "waits for a person to promote it" if self.status == CONVERGED else "cannot be promoted"
+        return f"version {self.calibration[:12]} of {name} {waits} ({self.gate})"
 
 
 def _find_uncut(row: Row[Any], others: Sequence[Row[Any]]) -> str:
@@ -396,10 +417,18 @@ class VersionStore(Store):
         is_over = and_(_is_promoted_since(calibration.c.since_us), _is_promoted_since(calibration.c.until_us - 1))
         inside = [] if at is None else [calibration.c.since_us <= at, calibration.c.until_us > at]
         inside += [] if scopes is None else [calibration.c.scope.in_({scope.key for scope in scopes})]
-        statement = select(calibration.c.id, calibration.c.scope, calibration.c.gate, calibration.c.made_us)
+        names = ("id", "scope", "gate", "made_us", "since_us", "until_us", "status")
+        statement = select(*(calibration.c[name] for name in names))
         statement = statement.where(IS_GATED, *inside, ~promoted, ~_has_newer(), ~is_over)
         rows = self._connection.execute(statement.order_by(calibration.c.made_us, calibration.c.id))
-        return [Waiting(row.id, parse_scope(row.scope), row.gate, row.made_us) for row in rows]
+        return [Waiting(row.id, parse_scope(row.scope), *row[2:]) for row in rows]
+
+    def summaries(self, ids: Iterable[str]) -> list[Summary]:
+        """Versions by their ids, without their curves."""
+        names = ("id", "scope", "since_us", "until_us", "made_us", "events")
+        columns = [calibration.c[name] for name in names]
+        rows = select_many(self._connection, select(*columns), calibration.c.id, ids)
+        return [from_row(Summary, row, scope=parse_scope(row.scope)) for row in rows]
 
     def means(self, ids: Iterable[str]) -> list[MeanC]:
         """Band means of C of the converged curves of versions, in order of their windows."""

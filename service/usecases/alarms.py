@@ -8,7 +8,7 @@ causes that gain too little on new events, work that failed and that nothing mad
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -16,8 +16,8 @@ import numpy as np
 
 from lbacal.instants import DAY_US, SECOND_US, format_instant, parse_instant
 from lbacal_core.causes.model import Model
-from lbacal_core.curves.curves import OK
-from lbacal_core.curves.validity import Instant, Scope
+from lbacal_core.curves.curves import CONVERGED, OK
+from lbacal_core.curves.validity import Instant, Promotion, Scope
 from lbacal_core.errors import BadInputError, name_path
 from lbacal_core.spectra.screening import LASTING_EVENTS
 from service.storage.alarms import (
@@ -25,10 +25,12 @@ from service.storage.alarms import (
     CAUSE_STOPPED_PAYING,
     FAILED_JOB,
     LEFT_OUT,
+    LOST_C,
     LOST_PATH,
     MISFIT,
     NAMED_CAUSE,
     OPEN,
+    RETRACTED,
     STALE_DATA,
     STEP,
     Acknowledgement,
@@ -40,10 +42,12 @@ from service.storage.changes import DISMISSED, NOT_REFITTED, KeptChange, concern
 from service.storage.database import Database, Stores
 from service.storage.jobs import Job
 from service.storage.models import Investigation
+from service.storage.processes import SCHEDULER
 from service.storage.spectra import Window
 from service.storage.versions import Version
 from service.usecases.drift import year_of
 from service.usecases.gate import name_members
+from service.usecases.retractions import FLAGGED, find_retracted
 from service.usecases.watch import MEMBERS_NAMED, UNLESS, read_changes
 from service.wire.bodies import AcknowledgementBody
 
@@ -137,12 +141,16 @@ def _tell(station: str, subject: str, years: Sequence[_Named]) -> News:
     return News(NAMED_CAUSE, Scope(station), subject, sentence, content, years[0].made.since)
 
 
-LOOKED_FOR = (LOST_PATH, LEFT_OUT, STALE_DATA, MISFIT, NAMED_CAUSE, FAILED_JOB, CAUSE_STOPPED_PAYING)
+LOOKED_FOR = (
+    LOST_PATH, LEFT_OUT, LOST_C, RETRACTED, STALE_DATA, MISFIT, NAMED_CAUSE, FAILED_JOB, CAUSE_STOPPED_PAYING,
+)  # fmt: skip
 FAILURES_SINCE_US = 30 * DAY_US
 FAILURES_READ = 200
 NAMES = {
     "step": ("step", "steps"), "slope": ("slope", "slopes"), "lost_path": ("lost path", "lost paths"),
     "left_out": ("path whose newest spectra are left out", "paths whose newest spectra are left out"),
+    "lost_c": ("window without C", "windows without C"),
+    "retracted": ("window whose events were flagged", "windows whose events were flagged"),
     "stale_data": ("stale data", "stale data"), "misfit": ("misfit", "misfits"),
     "named_cause": ("cause named and not adopted", "causes named and not adopted"),
     "cause_stopped_paying": ("cause that stopped paying", "causes that stopped paying"),
@@ -186,6 +194,7 @@ class Alarms:
                 *stopped,
                 *self._lost(stores),
                 *find_left_out(stores),
+                *find_lost_c(stores),
                 *self._stale(stores, now),
                 *_misfits(stores),
                 *find_named(stores),
@@ -230,7 +239,7 @@ class Alarms:
             if missed < SILENT_EVENTS:
                 continue
             scope = paths[0] if len(paths) == 1 else Scope(station)
-            who = f"{len(paths)} paths of {station}" if len(paths) > 1 else name_path(*scope.parts)
+            who = _name_paths(station, paths)
             day = format_instant(instant)[:10]
             what = "no spectrum that sees the sky" if paths[0] in dead else "no spectrum"
             sentence = f"{who}: {what} since {day}, while {name_path(*witness.parts)} has {missed} more events"
@@ -285,6 +294,62 @@ def find_left_out(stores: Stores) -> Iterator[News]:
         yield News(LEFT_OUT, scopes[0] if len(scopes) == 1 else Scope(station), "", sentence, content, since)
 
 
+def find_lost_c(stores: Stores) -> Iterator[News]:
+    """Find windows without C of paths that had it before or there, and versions in effect that were retracted.
+
+    Their versions wait for a person, or the last one was withdrawn as most of its events are flagged.
+    """
+    standing = stores.ledger.all_standing()
+    told = [
+        (one.scope, (one.valid_from, one.valid_to), one.reason, True)
+        for one in standing
+        if one.calibration is None and one.by == SCHEDULER and one.reason.endswith(FLAGGED) and one.valid_to is not None
+    ]
+    waiting = [one for one in stores.versions.waiting() if one.status == CONVERGED]
+    told += [(one.scope, (one.since, one.until), one.sentence, False) for one in waiting]
+    lost: dict[tuple[str, Instant, Instant], dict[Scope, str]] = {}
+    for scope, window, why, had_c in told:
+        middle, wider = sum(window) // 2, scope.widening
+        if scope.antenna is None or any(
+            one.calibration for one in stores.ledger.decisive(wider, middle, None).values()
+        ):
+            continue
+        if had_c or stores.ledger.neighbours({scope: wider}, middle, None)[scope][0] is not None:
+            lost.setdefault((str(scope.station), *window), {}).setdefault(scope, why)
+    for (station, since, until), paths in lost.items():
+        who, when, first = _name_paths(station, paths), _name_window(since, until), next(iter(paths))
+        sentence = f"{who}, {when}: no C is in effect; {name_path(*first.parts)}: {paths[first]}"
+        yield News(LOST_C, Scope(station), when, sentence, {"paths": [path.key for path in paths]}, since)
+    yield from _find_retracted(stores, standing)
+
+
+def _find_retracted(stores: Stores, standing: Sequence[Promotion]) -> Iterator[News]:
+    versions = stores.versions.summaries({one.calibration for one in standing if one.calibration is not None})
+    why = find_retracted(stores, versions)
+    own = [one for one in standing if one.calibration in why]
+    places = {(one.scope, (one.valid_from + (one.valid_to or one.valid_from)) // 2) for one in own}
+    deciding = {one.calibration for one in stores.ledger.decisive_at(places).values()} if places else set()
+    found: dict[tuple[str | None, Instant, Instant], dict[str, str]] = {}
+    for one in versions:
+        if one.id in why and one.id in deciding:
+            found.setdefault((one.scope.station, one.since, one.until), {})[one.id] = why[one.id]
+    for (station, since, until), of_window in found.items():
+        window, (name, first) = _name_window(since, until), next(iter(of_window.items()))
+        sentence = (
+            f"{station or 'the array'}, {window}: {len(of_window)} versions in effect are of events that were flagged "
+            f"since, and answer as uncertain ({name[:12]}: {first}): promote others, or withdraw them"
+        )
+        yield News(RETRACTED, Scope(station), window, sentence, {"versions": of_window})
+
+
+def _name_paths(station: str, paths: Collection[Scope]) -> str:
+    return f"{len(paths)} paths of {station}" if len(paths) > 1 else name_path(*next(iter(paths)).parts)
+
+
+def _name_window(since: Instant, until: Instant) -> str:
+    return f"{format_instant(since)[:10]} to {format_instant(until)[:10]}"
+
+
 def _silent(stores: Stores) -> dict[Scope, Instant]:
     """When the paths that the watch found silent were measured last."""
     silent = (stores.drift.report() or {}).get("silent", [])  # reports of before had none
@@ -300,7 +365,7 @@ def count_alarms(stores: Stores, now: Instant) -> AlarmCounts:
 def _misfits(stores: Stores) -> Iterator[News]:
     """Windows of a station, or of the array, whose newest versions misfit."""
     for (station, level, since, until), scopes in stores.versions.misfits().items():
-        window = f"{format_instant(since)[:10]} to {format_instant(until)[:10]}"
+        window = _name_window(since, until)
         who = f"{len(scopes)} paths of {station}" if level == "antenna" else (station or "the array")
         sentence = f"{who}, {window}: the chain does not describe the spectra within noise and priors (misfit)"
         content = {"versions": scopes, "since": format_instant(since), "until": format_instant(until)}

@@ -6,7 +6,7 @@ import hashlib
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 
 from lbacal.instants import DAY_US, SECOND_US, format_instant, format_optional
 from lbacal_core.calibration.slow_changes import follow_slow_changes
@@ -18,10 +18,11 @@ from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import Remembered
 from service.errors import NotInEffectError
-from service.storage.alarms import LeftOut
+from service.storage.alarms import Doubt
 from service.storage.changes import DISMISSED, STEP, Cut, Epoch, KeptChange, concerns, split_epochs
-from service.storage.database import Database
+from service.storage.database import Database, Stores
 from service.storage.ledger import Neighbours
+from service.storage.spectra import Window
 from service.storage.versions import Version, Waiting
 
 FEWEST_REMEMBERED = 1200
@@ -32,9 +33,9 @@ An instrument with more paths has one for each: a cache that is swept from end t
 BUDGETS_REMEMBERED = 100
 WHOLE_REMEMBERED = 2
 """Answers for all paths: one of 5,000 paths is 43 MB."""
-State = tuple[int, Instant | None, tuple[KeptChange, ...], tuple[Waiting, ...], tuple[LeftOut, ...]]
+State = tuple[int, Instant | None, tuple[KeptChange, ...], tuple[Waiting, ...], tuple[Doubt, ...]]
 """The newest promotion, the latest instant of the ledger, the changes on record: what is in effect follows. And what
-waits, and which spectra are left out."""
+waits, and what is in doubt."""
 SLOW_STEP_US = 10 * DAY_US
 """C along a ramp or season is served for the middle of so long a time: what is cached stays true in it, and five days
 of a season are 9 % of its amplitude."""
@@ -57,8 +58,9 @@ class CurveInEffect:
     cable
         The path's cable at the instant; None where that is not known, and then the instant is told as `without_cable`.
     changed
-        What to know where the version answers on both sides of a change that was found, or where the path's newest
-        spectra are left out of fits, as is known now; None elsewhere.
+        What to know where the version answers on both sides of a change that was found, where the path's newest spectra
+        are left out of fits, most of the version's events were flagged, or the gate keeps back a narrower one, as is
+        known now; None elsewhere.
     epoch
         The time between changes in force in which the instant lies.
     waiting
@@ -104,13 +106,7 @@ class CurveInEffect:
     def why(self) -> str:
         """Why it is this version: what it was made for, between which changes, and what was withdrawn before it."""
         made, acted, epoch, served = self.version, self.promotion, self.epoch, self.served
-        withdrawn = [
-            f"; what {name_path(*one.scope.parts)} has from {format_instant(one.valid_from)} to "
-            f"{format_optional(one.valid_to) or 'open'} was withdrawn {format_instant(one.at)[:19]}Z by {one.by} "
-            f"({one.reason})"
-            for one in self.trace
-            if one.calibration is None
-        ]
+        withdrawn = [f"; {one}" for one in _tell_withdrawn(self.trace)]
         named = " and ".join(f"change {one.number} ({one.change.kind})" for one in self.slow)
         followed = f"; C follows {named}, which adds an error of {100.0 * served.error:.2f} %" if named else ""
         dismissed = [
@@ -248,7 +244,7 @@ class Calibrations:
         return self.database.ask(
             lambda s: (
                 s.ledger.newest_number(), s.ledger.newest_instant(),
-                tuple(s.changes.kept()), tuple(s.versions.waiting()), tuple(s.alarms.left_out()),
+                tuple(s.changes.kept()), tuple(s.versions.waiting()), tuple(s.alarms.doubts()),
             )
         )  # fmt: skip
 
@@ -263,12 +259,12 @@ class Calibrations:
         stations = {path.station for path in paths}
         near = next(iter(stations)) if len(stations) == 1 else None
         asked, kept = self.database.ask(lambda s: (s.ledger.answers(paths, at, as_of), s.changes.kept(near, as_of)))
-        waits, left_out = ({}, {}) if as_of is not None else self._ask_of_now(at, None if near is None else paths)
+        waits, doubts = ({}, {}) if as_of is not None else self._ask_of_now(at, None if near is None else paths)
         of_antenna, dismissed = group_by_antenna(kept), [one for one in kept if one.decision == DISMISSED]
         answers = _pick_decisive(asked)
         held: Mapping[Scope, Promotion] = {}
         if len(answers) < len(paths) and (hold or not answers):
-            asked, answers, held = self._look_around(at, paths, as_of, hold=hold)
+            asked, answers, held = self._look_around(at, paths, as_of, waits, hold=hold)
         names = (str(promotion.calibration) for promotion in answers.values())
         versions = self.versions.get_many(names, lambda ids: self.database.look(lambda s: s.versions.get_many(ids)))
         lacking = [path for path, said in answers.items() if not versions[str(said.calibration)].serves(path.dipole)]
@@ -296,18 +292,24 @@ class Calibrations:
             records = () if chain is None else chain.cables.records.get(path.parts[:2], ())
             scope, epoch = promotion.scope, _find_epoch(path, at, of_antenna, records)
             alike = (waits[one] for one in path.widening[: path.widening.index(scope) + 1] if one in waits)
-            waiting = next((one for one in alike if one.scope != scope or one.made > version.made), None)
-            between = epoch, waiting, _find_dismissed(dismissed, scope, version)
+            newer = [one for one in alike if is_held or one.scope != scope or one.made > version.made][:1]
+            between = epoch, next(iter(newer), None), _find_dismissed(dismissed, scope, version)
             over = [cut for cut in cuts[scope] if bridging.get((scope, cut.date)) == promotion.calibration]
-            warnings = [_warn_over(cut, promotion, version, at) for cut in over]
-            warnings += [*_warn_of_both(path, version, of_antenna), *left_out.get(path, [])]
+            warnings = [
+                *(_warn_over(cut, promotion, version, at) for cut in over),
+                *self._warn_of_both(path, version, of_antenna),
+                *(doubts[of] for of in (path, version.id) if of in doubts),
+                *(one.sentence for one in newer if one.has_c and one.scope != scope),
+            ]
             changed = next(filter(None, warnings), None)
             slow = find_slow(scope, of_antenna)
             served, step = (promotion, is_held, trace), at // SLOW_STEP_US
             followed = slow, step * SLOW_STEP_US + SLOW_STEP_US // 2 if slow else None
             if path.antenna is None:
                 for curve in version.curves:
-                    yield CurveInEffect(path, curve.dipole, *served, None, None, None, *between, *followed, version, at)
+                    yield CurveInEffect(
+                        path, curve.dipole, *served, None, None, changed, *between, *followed, version, at
+                    )
                 return
             cable = version.cable_of(path, at)
             unknown = at if cable is None and str(path.dipole) in version.chains else None
@@ -318,15 +320,14 @@ class Calibrations:
 
     def _ask_of_now(
         self, at: Instant, paths: Sequence[Scope] | None
-    ) -> tuple[dict[Scope, Waiting], dict[Scope, list[str]]]:
-        """What waits for a person in windows that hold an instant, of all paths or some, and warnings of paths.
+    ) -> tuple[dict[Scope, Waiting], dict[Scope | str, str]]:
+        """What waits for a person in windows that hold an instant, of all paths or some; warnings of paths, versions.
 
-        The newest spectra of these are left out of fits.
+        The newest spectra of these are left out of fits, or most of their events were flagged.
         """
         scopes = None if paths is None else {scope for path in paths for scope in path.widening}
-        waiting, left_out = self.database.ask(lambda s: (s.versions.waiting(scopes, at), s.alarms.left_out()))
-        warnings = {one.path: [one.warning] for one in left_out if one.since < at}
-        return {one.scope: one for one in waiting}, warnings
+        waiting, doubts = self.database.ask(lambda s: (s.versions.waiting(scopes, at), s.alarms.doubts()))
+        return {one.scope: one for one in waiting}, {one.of: one.warning for one in doubts if one.since < at}
 
     def _ask_array(self, at: Instant, as_of: Instant | None) -> tuple[list[Promotion], dict[str, Version]]:
         """Ask the array for what a station's mean lacks, of which only the other dipole was recorded."""
@@ -336,7 +337,7 @@ class Calibrations:
         return answers, self.database.look(lambda s: s.versions.get_many(names))
 
     def _look_around(
-        self, at: Instant, paths: Sequence[Scope], as_of: Instant | None, *, hold: bool
+        self, at: Instant, paths: Sequence[Scope], as_of: Instant | None, waits: Mapping[Scope, Waiting], *, hold: bool
     ) -> tuple[dict[Scope, list[Promotion]], dict[Scope, Promotion], dict[Scope, Promotion]]:
         """What was asked of the ledger, what answers, and what of it is held, where there is a gap; at one instant."""
         with self.database.read() as stores:
@@ -349,8 +350,22 @@ class Calibrations:
         near = {path: _nearest(found[path], at) for path in missing} if hold else {}
         held = {path: promotion for path, promotion in near.items() if promotion is not None}
         if missing and not decisive and not held:
-            raise NotInEffectError(_explain_gap(missing, found[missing[0]], at, as_of))
+            waiting = next((waits[scope].sentence for scope in missing[0].widening if scope in waits), None)
+            why = [*_tell_withdrawn(asked[missing[0]]), *([waiting] if waiting else [])]
+            raise NotInEffectError(_explain_gap(missing, found[missing[0]], at, as_of, why))
         return asked, decisive | held, held
+
+    def _warn_of_both(self, path: Scope, version: Version, of_antenna: ByAntenna) -> Iterator[str]:
+        """Warnings about C fitted to spectra of both sides of a change, of a mean or of what a person put there."""
+        for one in _of(of_antenna, path.station, path.antenna):
+            date = one.change.date
+            if not one.cuts or not concerns(one, path.antenna, path.dipole) or not version.is_over(date):
+                continue
+            sides = [Window(*ends, version.scope) for ends in ((version.since, date), (date, version.until))]
+            if all(self.database.ask(partial(_has_usable, side)) for side in sides):
+                who, day = name_path(path.station, path.antenna), format_instant(date)[:10]
+                told = f"{who} changed on {day} (change {one.number})"
+                yield f"{told}: C in effect was fitted to spectra of before and after"
 
     def write(
         self, curves: Iterable[CurveInEffect], write: Callable[[CurveInEffect], WrittenCurve]
@@ -423,12 +438,8 @@ def _warn_over(cut: Cut, said: Promotion, version: Version, at: Instant) -> str 
     return None if (at < cut.date) == (side == "before") else told
 
 
-def _warn_of_both(path: Scope, version: Version, of_antenna: ByAntenna) -> Iterator[str]:
-    """Warnings about C of a version over a change that is no fit of the windows which that cuts: a mean, or a pin."""
-    for one in _of(of_antenna, path.station, path.antenna):
-        if one.cuts and concerns(one, path.antenna, path.dipole) and version.is_over(one.change.date):
-            who, day = name_path(path.station, path.antenna), format_instant(one.change.date)[:10]
-            yield f"{who} changed on {day} (change {one.number}): C in effect was fitted to spectra of before and after"
+def _has_usable(window: Window, stores: Stores) -> bool:
+    return stores.spectra.has_usable(window)
 
 
 def _find_epoch(path: Scope, at: Instant, of_antenna: ByAntenna, records: Sequence[AntennaRecord]) -> Epoch:
@@ -469,6 +480,17 @@ def _pick_decisive(asked: Mapping[Scope, Sequence[Promotion]]) -> dict[Scope, Pr
     return {path: said[-1] for path, said in asked.items() if said and said[-1].calibration is not None}
 
 
+def _tell_withdrawn(asked: Iterable[Promotion]) -> list[str]:
+    """What was withdrawn of the scopes on the way to an answer."""
+    return [
+        f"what {name_path(*one.scope.parts)} has from {format_instant(one.valid_from)} to "
+        f"{format_optional(one.valid_to) or 'open'} was withdrawn {format_instant(one.at)[:19]}Z by {one.by} "
+        f"({one.reason})"
+        for one in asked
+        if one.calibration is None
+    ]
+
+
 def _nearest(neighbours: Neighbours, at: Instant) -> Promotion | None:
     near = [neighbour for neighbour in neighbours if neighbour is not None]
     # of two that are equally near the one before
@@ -476,17 +498,20 @@ def _nearest(neighbours: Neighbours, at: Instant) -> Promotion | None:
     return nearest.promotion if nearest else None
 
 
-def _explain_gap(missing: Sequence[Scope], neighbours: Neighbours, at: Instant, as_of: Instant | None) -> str:
+def _explain_gap(
+    missing: Sequence[Scope], neighbours: Neighbours, at: Instant, as_of: Instant | None, why: Sequence[str]
+) -> str:
     before, after = neighbours
     path = name_path(*missing[0].parts)
     path += "" if len(missing) == 1 else f" or any of the {len(missing)} paths asked for"
     sentence = f"no calibration is in effect for {path} at {format_instant(at)}"
     if before is None and after is None:
         known = "" if as_of is None else f", as known at {format_instant(as_of)}"
-        return f"{sentence}, and none was or will be at another time{known}"
+        return "; ".join([f"{sentence}, and none was or will be at another time{known}", *why])
     named = []
     if before is not None:
         named.append(f"{before.promotion.calibration} was until {format_instant(before.instant)}")
     if after is not None:
         named.append(f"{after.promotion.calibration} is from {format_instant(after.instant)}")
-    return f"{sentence}: {' and '.join(named)}; gap=hold of GET /v1/calibrations/effective answers with the nearest"
+    hold = "gap=hold of GET /v1/calibrations/effective answers with the nearest"
+    return "; ".join([f"{sentence}: {' and '.join(named)}", *why, hold])

@@ -41,6 +41,7 @@ from service.usecases.investigations import Investigations
 from service.usecases.orders import Inputs, name_inputs
 from service.usecases.refits import KIND as REFIT
 from service.usecases.refits import describe_part
+from service.usecases.retractions import end_empty
 from service.usecases.watch import KIND as WATCH
 from service.usecases.watch import Watch
 
@@ -64,11 +65,13 @@ class DueWork:
     def enqueue(self) -> list[int]:
         """Enqueue everything that is due, and return the new jobs; spectra whose level lasts take part from now on.
 
+        Where no usable spectrum is left, what they gave ends.
         Work that nobody has begun and that was enqueued for another instrument, sky power or model version is given up.
         """
         with self.database.write() as stores:
             stores.jobs.drop_outdated(self._inputs.text, self.clock())
             judge_far(stores)
+            stores.ledger.append(end_empty(stores), self.clock)
         with self.database.read() as stores:
             orders = [*self._refits(stores), *self._drift(stores)]
             orders += self._investigations(stores)

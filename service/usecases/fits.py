@@ -577,6 +577,8 @@ def keep_fit(stores: Stores, block: Sums, made: Made, served: Mapping[ServedKey,
             scopes = dict.fromkeys(scope_of(owner) for lines in one.lines for owner in lines.owners)
             pieces.append(replace(one, served=[served[scope, one.since, one.until] for scope in scopes]))
         stores.sums.put(replace(block, arrays=write_pieces(pieces)), name_pieces(pieces))
+    elif all(one.model is None for one in made.versions):  # nothing is left that could be lent
+        stores.sums.forget(block.scope, block.since, block.until, block.kind)
 
 
 def keep_served(

@@ -306,7 +306,7 @@ class Gate:
         if predecessor and predecessor.made > version.made and predecessor.window == version.window:
             return f"{predecessor.id[:12]} was made from later data and is in effect"
         for curve in version.curves:
-            weakness = self._weakness(curve)
+            weakness = self._weakness(curve, is_odd=version.anomalies.fitted > 0)
             if weakness is not None:
                 return f"{curve.name}: {weakness}"
             change = find_change_of_mean(version, predecessor, str(curve.dipole)) if predecessor else None
@@ -320,8 +320,8 @@ class Gate:
                 return f"{told}, or {low:+.1%} to {high:+.1%} for the change of the model"
         return None
 
-    def _weakness(self, curve: CalibrationCurve) -> str | None:
-        """What a curve by itself lacks; None if nothing."""
+    def _weakness(self, curve: CalibrationCurve, *, is_odd: bool) -> str | None:
+        """What a curve by itself lacks; None if nothing. With odd spectra in the fit no antenna is doubted."""
         if curve.status == MISFIT:
             return (
                 f"misfit of this curve or of its station: chi2 per degree of freedom {curve.chi2_per_dof:.1f} with "
@@ -346,7 +346,7 @@ class Gate:
                 f"bad ones lie between {bad[0]:g} and {bad[-1]:g} MHz"
             )
             doubted = (curve.flags == UNCERTAIN) & (curve.c_sigma_stat / curve.c <= LARGEST_GOOD_ERROR)
-            if np.any(doubted):
+            if np.any(doubted) and not is_odd:
                 told += (
                     f"; in {doubted.sum()} another antenna, likelier than {LEAST_LIKELY:.0%} by these spectra, moves C "
                     f"by more than {LARGEST_GOOD_ERROR:.0%}, and lbacal budget says which it may be"

@@ -43,6 +43,7 @@ from service.usecases.fits import (
 )
 from service.usecases.gate import Gate, find_predecessors, find_shift
 from service.usecases.orders import name_inputs, place_order, read_window
+from service.usecases.retractions import withdraw_retracted
 from service.usecases.windows import ALONE, Neighbours
 from service.wire.bodies import RefitBody
 
@@ -111,6 +112,10 @@ class Refits:
             kept = self._keep(stores, made.versions, part, said, neighbours)
             is_night = part.is_due and part.request["promote"]
             withdrawn = list(_withdraw_gaps(stores, made.versions, part)) if is_night else []
+            if is_night:
+                answered = [key for key, one in kept.served.items() if one.is_in_effect]
+                scopes = [one for one in stores.spectra.scopes_of(wanted.of.station) if one.level == wanted.scope]
+                withdrawn += withdraw_retracted(stores, scopes, wanted.since, wanted.until, answered)
             if part.request["promote"]:
                 keep_fit(stores, block, made, kept.served)
             if kept.result["calibrations"]:

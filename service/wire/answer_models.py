@@ -535,6 +535,8 @@ AlarmKind = Literal[
     "slope",
     "lost_path",
     "left_out",
+    "lost_c",
+    "retracted",
     "stale_data",
     "misfit",
     "named_cause",

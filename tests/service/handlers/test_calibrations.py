@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from astropy.table import Table
 from fastapi.testclient import TestClient
-from sqlalchemy import Engine, event
+from sqlalchemy import Engine, event, update
 
 from lbacal.calibration_files import read_calibrations
 from lbacal.instants import format_instant
@@ -24,9 +24,10 @@ from lbacal_core.curves.validity import Scope
 from lbacal_core.provenance import canonical_json
 from service.app import make_app
 from service.factory import Factory
+from service.schema.tables import calibration
 from service.storage.versions import Version
 from service.usecases.calibrations import Calibrations
-from tests.service.conftest import like, new_version, promote
+from tests.service.conftest import add_spectra, flat_spectra, instant, like, new_version, promote
 
 Stored = dict[str, Version]
 NUMBERS = ("c", "c_sigma_stat", "c_sigma_sys", "factor", "frequency_mhz")
@@ -73,6 +74,28 @@ def test_why_names_no_version_at_the_gate_that_is_older_than_what_answers(
         assert ("waits for a person to promote it (a jump)" in curve["why"]) == is_told
 
 
+def test_a_gap_and_what_is_held_over_it_name_the_version_that_waits(
+    client: TestClient, stored: Stored, factory: Factory
+) -> None:
+    """Nothing was in effect in the year, and nothing said that six versions of it waited at the gate."""
+    gated = replace(stored["path"], inputs={"name": "gated"}, made=stored["path"].made - 1, gate="a jump")
+    with factory.database.write() as stores:
+        stores.versions.add([gated])
+    promote(client, stored["other"], "2013-01-01", "2014-01-01")
+    said = f"version {gated.id[:12]} of CS001 antenna 0 X waits for a person to promote it (a jump)"
+    with factory.database.write() as stores:  # the others of the window are made before it
+        table = calibration.c
+        stores.versions._connection.execute(update(calibration).where(table.id != gated.id).values(made_us=1))
+    refused = ask(client, "2014-03-01", **PATH)
+    assert (refused.status_code, said in refused.json()["detail"]) == (404, True)
+    (held,) = ask(client, "2014-03-01", gap="hold", **PATH).json()["curves"]
+    assert held["why"].endswith(said)
+    promote(client, stored["array"], "2013-01-01")
+    (wider,) = ask(client, "2014-03-01", **PATH).json()["curves"]
+    assert (wider["answered_by"], set(wider["flag"])) == ("array", {"uncertain"})
+    assert wider["flag_reason"].startswith(said), "every channel was ok"
+
+
 def test_why_names_the_step_that_a_person_dismissed(client: TestClient, stored: Stored) -> None:
     """The alarm and the life of the path named it, and what is served as the mean over it did not."""
     body = {"paths": [{"station": "CS001", "antenna": 0}], "at": {"value": "2014-07-01"}, "reason": "test"}
@@ -102,8 +125,10 @@ def test_a_version_that_a_person_put_over_a_change_is_told_as_that(
 
 @pytest.mark.parametrize(("name", "start"), [("station", "2014-01-01"), ("path", "2016-01-01")])
 def test_a_mean_over_a_change_of_its_path_and_a_pin_that_was_fitted_over_one_were_served_as_ok(
-    client: TestClient, stored: Stored, name: str, start: str
+    client: TestClient, stored: Stored, factory: Factory, name: str, start: str
 ) -> None:
+    times = (instant(f"2014-{month}-01") / 1e6 for month in ("03", "09"))
+    add_spectra(factory, flat_spectra(*((f"e{at}", at, "CS001", 0, dipole) for at in times for dipole in "XY")))
     paths = [{"station": "CS001", "antenna": 0, "dipole": "X"}]
     body = {"paths": paths, "at": {"value": "2014-07-01"}, "reason": "test"}
     assert client.post("/v1/changes", json=body).status_code == 201

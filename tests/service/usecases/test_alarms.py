@@ -292,3 +292,22 @@ def test_a_named_cause_is_an_alarm_where_it_moves_c_in_effect_by_more_than_its_e
     years = [(one["since"][:4], one["finding"], one["fraction"]) for one in news.content["years"]]
     assert years == [("2013", 0, 0.1), ("2014", 2, 0.2)]
     assert news.content["years"][0]["statistical_error"] == pytest.approx(error)
+
+
+def test_a_path_lost_its_c_as_its_version_waits_and_no_alarm_said_so(factory: Factory, client: TestClient) -> None:
+    path = Scope("CS001", 0, "X")
+    before = new_version(path, "before", since=instant("2013-01-01"), until=instant("2014-01-01"))
+    gated = new_version(path, "gated", gate="a jump")
+    with factory.database.write() as stores:
+        stores.versions.add([before, gated])
+    factory.alarms.look()
+    assert alarms(client) == [], "it never had one"
+    promote(client, before, "2013-01-01", "2014-01-01")
+    factory.alarms.look()
+    (told,) = alarms(client, kind="lost_c")
+    who = "CS001 antenna 0 X"
+    waits = f"version {gated.id[:12]} of {who} waits for a person to promote it (a jump)"
+    assert told["sentence"] == f"{who}, 2014-01-01 to 2015-01-01: no C is in effect; {who}: {waits}"
+    promote(client, gated, "2014-01-01", "2015-01-01")
+    factory.alarms.look()
+    assert alarms(client) == []
