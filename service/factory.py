@@ -6,12 +6,14 @@ What computes is imported where it is asked for: an API that only answers loads 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 from lbacal.engine import HERE, Engine
 from lbacal.instants import read_clock
 from lbacal_core.curves.validity import Instant
+from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.provenance import Remembered
 from lbacal_core.sky.table import read_sky_power
@@ -65,6 +67,17 @@ class Factory:
         return load_instrument(self.settings.instrument)
 
     @cached_property
+    def known(self) -> Instrument:
+        """The instrument with all antennas that ever sent spectra: what was answered for one stays an answer.
+
+        Those that its file has no more have some cable: what reads this asks for names and dates alone.
+        """
+        own, cable = self.instrument.antennas, next(iter(self.instrument.cables))
+        stored = self.database.look(lambda stores: stores.spectra.antennas())
+        rest = sorted(stored - {(one.station, one.antenna) for one in own})
+        return replace(self.instrument, antennas=(*own, *(AntennaRecord(*one, cable) for one in rest)))
+
+    @cached_property
     def intake(self) -> Intake:
         """Spectra in."""
         return Intake(self.database, self.instrument, self.settings.resistance_ohm, self.clock, FileReader())
@@ -72,12 +85,12 @@ class Factory:
     @cached_property
     def calibrations(self) -> Calibrations:
         """In effect on a date, and versions."""
-        return Calibrations(self.database, self.instrument, self.clock)
+        return Calibrations(self.database, self.known, self.clock)
 
     @cached_property
     def promotions(self) -> Promotions:
         """The ledger."""
-        return Promotions(self.database, self.instrument, self.clock)
+        return Promotions(self.database, self.known, self.clock)
 
     @cached_property
     def tags(self) -> Tags:
@@ -140,7 +153,7 @@ class Factory:
     @cached_property
     def drift(self) -> Drift:
         """C over time."""
-        return Drift(self.database, self.instrument, Remembered(8))
+        return Drift(self.database, self.known, Remembered(8))
 
     @cached_property
     def drift_measurement(self) -> DriftMeasurement:
@@ -152,14 +165,14 @@ class Factory:
     @cached_property
     def changes(self) -> Changes:
         """Changes of paths, and the decisions on them."""
-        return Changes(self.database, self.instrument, self.promotions, lambda: self.fits, self.clock)
+        return Changes(self.database, self.known, self.promotions, lambda: self.fits, self.clock)
 
     @cached_property
     def lives(self) -> Lives:
         """All that happened to a path."""
         from service.usecases.life import Lives
 
-        return Lives(self.database, self.instrument, self.changes, self.models, self.alarms)
+        return Lives(self.database, self.known, self.changes, self.models, self.alarms)
 
     @cached_property
     def watch(self) -> Watch:

@@ -419,6 +419,11 @@ class SpectraStore(Store):
         """Stations with spectra, in alphabetical order."""
         return list(self._connection.execute(select(path.c.station).distinct().order_by(path.c.station)).scalars())
 
+    def antennas(self) -> set[tuple[str, int]]:
+        """Stations and antennas with spectra."""
+        rows = self._connection.execute(select(path.c.station, path.c.antenna).distinct())
+        return {(row.station, row.antenna) for row in rows}
+
     def span(self) -> tuple[Instant, Instant] | None:
         """First and last instant of any event; None without events."""
         row = self._connection.execute(select(func.min(event.c.time_us), func.max(event.c.time_us))).one()

@@ -3,6 +3,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
+import json
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -21,6 +22,7 @@ from lbacal.instants import format_instant
 from lbacal.tables import rows_of
 from lbacal_core.curves.galcal import find_problems
 from lbacal_core.curves.validity import Scope
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import canonical_json
 from service.app import make_app
 from service.factory import Factory
@@ -238,6 +240,31 @@ def test_a_gap_names_its_neighbours_and_can_be_held(client: TestClient, stored: 
     for wrong, sentence in (("77", "expected an antenna of CS001 (0 to 2), found 77"), ("-1", "digits, 0 or more")):
         assert sentence in ask(client, "2014-06-20", station="CS001", antenna=wrong).json()["detail"]
     assert "%2B" in client.get("/v1/calibrations/effective?at=2014-06-20T00:00:00+02:00").json()["detail"]
+
+
+def test_a_station_that_the_instrument_has_no_more_is_known_to_who_reads(
+    client: TestClient, stored: Stored, factory: Factory, instrument: Instrument, tmp_path: Path
+) -> None:
+    """After a station was renamed in the instrument file, a tag refused its old name, and a sync left it out."""
+    promote(client, stored["path"], "2014-01-01")
+    add_spectra(factory, flat_spectra(("e", instant("2014-03-01") / 1e6, "CS001", 0, "X")))
+    assert client.put("/v1/tags/paper", json={"reason": "test"}).status_code == 201
+    asked = [
+        ("/v1/calibrations/effective", {"at": "2014-06-01", "tag": "paper", **PATH}),
+        ("/v1/calibrations", {"station": "CS001"}), ("/v1/stations/CS001/life", {}), ("/stations/CS001", {}),
+    ]  # fmt: skip
+    before = client.get(asked[0][0], params=asked[0][1]).content
+    content = instrument.as_dict()
+    for one in content["antennas"]:
+        one["station"] = one["station"].replace("CS001", "CS101")
+    (tmp_path / "renamed.json").write_text(json.dumps(content))
+    with like(factory, instrument=str(tmp_path / "renamed.json")) as other:
+        renamed = TestClient(make_app(other))
+        answers = [renamed.get(route, params=params) for route, params in asked]
+        assert ([one.status_code for one in answers], answers[0].content) == ([200] * 4, before)
+        edges = renamed.get("/v1/calibrations/edges", params={"as_of": format_instant(factory.clock())}).json()
+        assert {"CS001", "CS101"} <= {one["station"] for one in edges["stations"]}
+        assert renamed.get("/v1/calibrations", params={"station": "CS009"}).status_code == 422
 
 
 def test_paths_with_nothing_in_effect_are_named_as_missing(client: TestClient, stored: Stored) -> None:
