@@ -182,7 +182,9 @@ class Factory:
     @cached_property
     def alarms(self) -> Alarms:
         """Alarms: problems that last."""
-        return Alarms(self.database, self.clock, self.settings.stale_days, lambda: self.models, self.changes)
+        return Alarms(
+            self.database, self.instrument, self.clock, self.settings.stale_days, lambda: self.models, self.changes
+        )
 
     @cached_property
     def due(self) -> DueWork:

@@ -19,6 +19,7 @@ from lbacal_core.causes.model import Model
 from lbacal_core.curves.curves import CONVERGED, OK
 from lbacal_core.curves.validity import Instant, Promotion, Scope
 from lbacal_core.errors import BadInputError, name_path
+from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.spectra.screening import LASTING_EVENTS
 from service.storage.alarms import (
     ACKNOWLEDGED,
@@ -180,6 +181,7 @@ class Alarms:
     """Looks for what is wrong, lists it, and takes acknowledgements."""
 
     database: Database
+    instrument: Instrument
     clock: Callable[[], Instant]
     stale_days: float
     find_models: Callable[[], Models]
@@ -220,7 +222,7 @@ class Alarms:
             return stores.alarms.acknowledge(number, Acknowledgement(by, now, body.reason, until))
 
     def _lost(self, stores: Stores) -> Iterator[News]:
-        """Paths without a usable event while the path with the newest had many; those lost together are one alarm."""
+        """Paths on record without a usable event while that with the newest had many; those lost together are one."""
         from lbacal_core.drift.report import SILENT_EVENTS
 
         newest = stores.spectra.newest_by_path()
@@ -231,8 +233,9 @@ class Alarms:
         last = max(newest.values())
         witness = next(path for path, instant in newest.items() if instant == last)
         lost: dict[tuple[str, int], list[Scope]] = {}
+        on_record = {(one.station, one.antenna) for one in self.instrument.antennas if one.covers(last / SECOND_US)}
         for path, instant in newest.items():
-            if instant < last:
+            if instant < last and path.parts[:2] in on_record:
                 lost.setdefault((str(path.station), instant), []).append(path)
         for (station, instant), paths in lost.items():
             missed = stores.spectra.count(Window(instant + 1, last + 1, witness))

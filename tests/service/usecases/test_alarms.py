@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -74,6 +75,22 @@ def test_a_path_that_falls_silent_is_an_alarm_until_it_returns(
     factory.alarms.look()
     assert alarms(client) == []
     assert [one["state"] for one in alarms(client, state="ended")] == ["ended"]
+
+
+def test_an_antenna_whose_record_has_ended_is_not_lost(
+    factory: Factory, client: TestClient, instrument: Instrument, tmp_path: Path
+) -> None:
+    """The alarm stayed open after the instrument file said that the antenna was taken away."""
+    store(factory, range(60), {("CS002", antenna, dipole): 10 for antenna in range(3) for dipole in "XY"})
+    factory.alarms.look()
+    assert len(alarms(client, kind="lost_path")) == 1
+    content = instrument.as_dict()
+    for one in content["antennas"]:
+        one.update({"until": "2014-01-20T00:00:00Z"} if one["station"] == "CS002" else {})
+    (tmp_path / "ended.json").write_text(json.dumps(content))
+    with like(factory, instrument=str(tmp_path / "ended.json")) as other:
+        other.alarms.look()
+    assert alarms(client, kind="lost_path") == []
 
 
 def test_paths_lost_together_are_one_alarm_and_few_missed_events_none(
