@@ -30,6 +30,7 @@ from lbacal_core.discovery.sentences import (
     best_of_families,
     estimate_sentence,
     likeliest_sentences,
+    list_ripples,
     places_of,
     refine_sentence,
     score_gated,
@@ -44,8 +45,6 @@ ROUNDS, REFINED = 4, 4
 """Rounds in each of which a sentence is varied, and variations whose numbers are moved."""
 SHARE = 0.5
 """Share of the gain of the best variation below which the numbers of another are not moved."""
-RIPPLED = ("front", "converter")
-"""Places at which ripples are tried with all courses: they look alike at others."""
 POINTED_BY: Sequence[str] = ("sky", "polarisation", "receiver", "converter")
 """Places whose sentences choose the target for which all are tried."""
 RIVAL = 3.0
@@ -138,44 +137,46 @@ def describe_structure(
     policy: Policy,
     seed: int = 0,
     also: Target | None = None,
+    said: Sequence[Hypothesis] = (),
 ) -> Description:
     """Describe the structure which a model leaves; `Description()` where no sentence does better than chance.
 
     Sentences are tried where the structure is seen and, where they say more of that, where something was significant
-    (`also`).
+    (`also`); those which the search said (`said`) are tried, too.
     """
     seen = [one for one in targets if one.label == structure.target]
     seen += [one for one in targets if one.scope == "antenna" and seen and np.all(one.is_member >= seen[0].is_member)]
     seen += [also] if also is not None and all(one.label != also.label for one in seen) else []
     if not seen:
         return Description()
-    likely = _search(model.linear, seen, targets)
+    likely = _search(model.linear, seen, targets, said)
     order = sorted(_fit_likely(model, likely), key=lambda one: -one[0].log_odds)
-    said = [one for one, _ in order if one.log_odds > CERTAIN and one.held_out_gain > 0.0]
-    if not said:
+    certain = [one for one, _ in order if one.log_odds > CERTAIN and one.held_out_gain > 0.0]
+    if not certain:
         return Description()
-    after = next(one for described, one in order if described is said[0])
-    rivals = [one for one in said if said[0].log_odds - one.log_odds < RIVAL]
+    after = next(one for described, one in order if described is certain[0])
+    rivals = [one for one in certain if certain[0].log_odds - one.log_odds < RIVAL]
     alpha, rng = policy.structure_alpha, np.random.default_rng(seed)
     return Description(
         rivals,
         find_structure(after.linear, rng, alpha),
         _what_decides(model.linear, rivals[0], rivals[1]) if len(rivals) > 1 else None,
-        {} if structure.target == STATION else _amounts(model.linear, said[0], targets),
+        {} if structure.target == STATION else _amounts(model.linear, rivals[0], targets),
     )
 
 
 # The search: all courses with a few laws, all laws with the best courses, then one part after the other of the best.
 
 
-def _search(model: LinearModel, seen: Sequence[Target], targets: Sequence[Target]) -> list[ScoredSentence]:
+def _search(
+    model: LinearModel, seen: Sequence[Target], targets: Sequence[Target], said: Sequence[Hypothesis]
+) -> list[ScoredSentence]:
     """The likeliest sentences of different families, for the target that shows them best."""
     conditions, choices = model.station.conditions, len(targets)
     noticed = [likeliest_sentences(model, one, choices, POINTED_BY)[0] for one in seen] if len(seen) > 1 else []
     whole = max(noticed, key=lambda one: one.gain).target if noticed else seen[0]
     places = [name for name in places_of(whole) if not PLACES[name].moves]
-    ripples = [law for law in list_laws(conditions) if law[0] == "ripple"]
-    spectra = [*product(places, rough_laws(conditions)), *product(RIPPLED, ripples)]
+    spectra = [*product(places, rough_laws(conditions)), *list_ripples(conditions)]
     rough = score_sentences(model, [whole], spectra, list_courses(conditions), choices)
     likely = list(dict.fromkeys(parts_of(one.template)[2] for one in best_of_families(rough)))[:LIKELY]
     spectra = list(product(places, list_laws(conditions)))
@@ -187,6 +188,9 @@ def _search(model: LinearModel, seen: Sequence[Target], targets: Sequence[Target
     for one in single[:KEPT]:
         place, law, course = parts_of(one.template)
         found += score_sentences(model, targets, [(place, law)], [course])
+    for hypothesis in said:
+        place, law, course = parts_of(hypothesis.template)
+        found += score_sentences(model, [hypothesis.target], [(place, law)], [course], choices)
     for one in best_of_families(found)[:KEPT]:
         found += score_gated(model, [one.target], one, choices)
     pool = [refine_sentence(model, one) for one in best_of_families(found)[:KEPT]]

@@ -136,21 +136,24 @@ class StationSearch:
         significant = [score for score in scores if score.p_value < self.alpha]
         sentences = self._score_sentences(before, significant)
         named = self._name(before, significant, scores)
-        said = self._say(before, sentences[0], [one.gain for one in named] or [*map(_gain_beyond_chance, significant)])
+        gains = [one.gain for one in named] or [*map(_gain_beyond_chance, significant)]
+        said, told = self._say(before, sentences, gains)
         beyond = 2.0 * self.policy.likelier
         best = named[0] if named else None
         if said is None or (best and (said.gain < best.gain + beyond or self._is_alike(before, said, best))):
-            spoken = [(one.hypothesis, one.gain) for one in sentences]
+            spoken = [(one.hypothesis, one.gain) for one in told]
             if said is not None:
                 # Scores are of the first order: what the likeliest lost as it was fitted, the others lose as well.
-                lost = sentences[0].gain - said.gain
+                lost = told[0].gain - said.gain
                 spoken = [(said.model.hypotheses[-1], said.gain), *((one, gain - lost) for one, gain in spoken[1:])]
             beside = [
                 replace(one, sentences=[other for other, gain in spoken if one.gain - gain < beyond]) for one in named
             ]
-            return _compare(beside, spoken[:1])
+            most = max((gain for _, gain in spoken), default=-np.inf)
+            compared = _compare(beside, spoken[:1])
+            return compared[:1] + [one for one in compared[1:] if one.gain + beyond > most]
         self.again, self.impossible = None, None
-        return _compare([said, *named], [])
+        return _compare([said, *named], [])[:1]
 
     def _score_sentences(self, before: FittedModel, significant: Sequence[Score]) -> list[ScoredSentence]:
         """The likeliest sentences, for the station or where the best cause acts, by its score."""
@@ -163,20 +166,32 @@ class StationSearch:
             likely = [refine_sentence(linear, one) for one in likely]
         return sorted(likely, key=lambda one: -one.gain)
 
-    def _say(self, before: FittedModel, one: ScoredSentence, gains: Sequence[float]) -> Candidate | None:
-        """The model with a sentence, where that is likelier by its score than every cause."""
-        linear, least = before.linear, 2.0 * max(CERTAIN, -float(np.log(self.alpha)))
-        if one.gain < max([least, *gains]):
-            return None
-        gated = score_gated(linear, [one.target], one, self._choices(one.target))
-        one = refine_sentence(linear, max(gated, key=lambda one: one.gain))
-        self.progress(f"{self.name}: fitting everything again with a sentence")
-        fitted = refit(before, Hypothesis(SENTENCE, one.template, one.target, one.size))
-        if fitted is None or not _is_possible(fitted):
-            return None
-        gain, chance = gain_in_chi_squared(before, fitted) - one.length, float(np.exp(0.5 * one.length))
-        events = int(before.station.is_used.sum())
-        return Candidate(Score(SENTENCE, one.template, one.target, one.z, one.size, events, chance), fitted, gain)
+    def _say(
+        self, before: FittedModel, sentences: Sequence[ScoredSentence], gains: Sequence[float]
+    ) -> tuple[Candidate | None, Sequence[ScoredSentence]]:
+        """The model with a sentence that is likelier by its score than every cause, if unseen events confirm it.
+
+        Returns
+        -------
+        That of the first sentence, or None; and the sentences from that one on, without those that are refused.
+        """
+        linear, least = before.linear, max([2.0 * max(CERTAIN, -float(np.log(self.alpha))), *gains])
+        for k, one in enumerate(sentences):
+            if one.gain < least:
+                return None, sentences[k:]
+            gated = score_gated(linear, [one.target], one, self._choices(one.target))
+            best = refine_sentence(linear, max(gated, key=lambda one: one.gain))
+            self.progress(f"{self.name}: fitting everything again with a sentence")
+            fitted = refit(before, Hypothesis(SENTENCE, best.template, best.target, best.size))
+            if fitted is None or not _is_possible(fitted):
+                continue
+            gain, chance = gain_in_chi_squared(before, fitted) - best.length, float(np.exp(0.5 * best.length))
+            events = int(before.station.is_used.sum())
+            score = Score(SENTENCE, best.template, best.target, best.z, best.size, events, chance)
+            said = Candidate(score, fitted, gain)
+            if self.held_out_gain(before, said) > 0:
+                return said, sentences[k:]
+        return None, []
 
     def _is_alike(self, before: FittedModel, said: Candidate, named: Candidate) -> bool:
         """Whether a sentence says of a target what a cause does, and fits no better: the name then tells more."""

@@ -51,6 +51,8 @@ class StationReport:
         The residual structure in words.
     significant
         Where the last significant score of a cause was.
+    said
+        Sentences by which the model grew in the place of causes.
     similar
         Findings that were withdrawn, because residual structure explains the data as well.
     first, last
@@ -91,6 +93,7 @@ class StationReport:
     as_recorded: FittedModel | None = None
     description: Description = field(default_factory=Description)
     significant: Target | None = None
+    said: Sequence[Hypothesis] = ()
     catalogue: Sequence[Cause] = CAUSES
     rest: StationReport | None = None
 
@@ -184,6 +187,7 @@ def search_station(
         adopted=adopted.sizes,
         catalogue=catalogue,
         significant=search.significant,
+        said=[one.hypothesis for one in said],
         rest=None if rest is None or rest.structure is None else rest,
     )
 
@@ -194,7 +198,8 @@ def put_into_words(report: StationReport, seed: int = 0) -> StationReport:
         return report
     left = _with(report.first, [one.hypothesis for one in report.findings])
     targets = list_targets(report.station)
-    description = describe_structure(left, report.structure, targets, report.policy, seed, report.significant)
+    also = report.significant, report.said
+    description = describe_structure(left, report.structure, targets, report.policy, seed, *also)
     rest = None if report.rest is None else put_into_words(report.rest, seed)
     parts = [description] if rest is None else [description, rest.description]
     whole = {target.label: target for target in targets}

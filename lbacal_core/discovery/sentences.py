@@ -41,6 +41,8 @@ SENTENCE = Sentence()
 NOTICED_AT: Sequence[str] = ("sky", "antenna", "front", "receiver", "converter")
 NOTICED_BY = 5
 """Places, and the number of laws, by which sentences are noticed: a quarter of the cost of a scan of the catalogue."""
+RIPPLED: Sequence[str] = ("front", "converter")
+"""Places at which ripples are tried with all courses: they look alike at others."""
 OTHER_GATES: Sequence[str] = ("near", "sky")
 """Courses with which a product is tried beside those that are 0 or 1."""
 TRIED = 3
@@ -83,10 +85,15 @@ class ScoredSentence:
 def likeliest_sentences(
     model: LinearModel, target: Target, choices: int = 1, places: Sequence[str] = NOTICED_AT
 ) -> list[ScoredSentence]:
-    """The likeliest sentences of different families for a target, of few laws and places and all courses."""
+    """The likeliest sentences of different families for a target, of few laws and places, ripples, and all courses."""
     conditions = model.station.conditions
-    spectra = list(product(places, rough_laws(conditions)[:NOTICED_BY]))
+    spectra = [*product(places, rough_laws(conditions)[:NOTICED_BY]), *list_ripples(conditions)]
     return best_of_families(score_sentences(model, [target], spectra, list_courses(conditions), choices))[:TRIED]
+
+
+def list_ripples(conditions: Conditions) -> list[tuple[str, Form]]:
+    """Ripples at the places at which they are tried with all courses."""
+    return list(product(RIPPLED, (law for law in list_laws(conditions) if law[0] == "ripple")))
 
 
 def names_in(course: Form) -> tuple[str, ...]:

@@ -230,3 +230,17 @@ def test_an_effect_on_a_cable_is_not_said_of_one_of_its_paths(spoil, simulation)
     assert first.target.label == "cable 115"
     assert parts_of(first.template)[2][0] == "step"
     assert abs(first.size - 0.04) < 4 * first.sigma
+
+
+@pytest.mark.long
+def test_a_ripple_that_starts_on_a_date_was_named_a_wide_resonance_that_follows_season(clean, simulation):
+    """No law by which sentences were noticed looks like a ripple: 3 % in one antenna were explained by two causes."""
+    since = clean.time_unix >= np.quantile(clean.time_unix, 0.55)
+    ripple = 0.03 * np.cos(2.0 * np.pi * 0.085 * clean.frequency_mhz)
+    is_there = (clean.antenna == 1) & since
+    report, _ = investigate(replace(clean, power=clean.power * (1.0 + ripple * is_there[:, None])), simulation)
+    assert report["findings"] == []
+    first = report["unexplained"]["sentences"][0]
+    assert first["target"] == "antenna 1"
+    assert [first["parameters"][part][0] for part in ("law", "course")] == ["ripple", "step"]
+    assert abs(first["size"]["value"]) == pytest.approx(0.03, abs=5 * first["size"]["sigma"])
