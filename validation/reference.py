@@ -16,7 +16,7 @@ from lbacal.cli.main import add_commands, app
 from lbacal.settings import CLIENT_SETTINGS
 from lbacal_core.causes.cable import AntennaCause
 from lbacal_core.causes.catalogue import ANTENNA_CAUSES, CAUSES
-from lbacal_core.causes.cause import Cause
+from lbacal_core.causes.cause import SCOPES, Cause
 from service.config import Settings
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -74,17 +74,13 @@ def _describe_cause(cause: Cause | AntennaCause) -> str:
     does = f" {_first_line(cause.does or cause.act)}" if isinstance(cause, Cause) else ""
     tried = "" if kind.templates is Cause.templates else _first_line(kind.templates)
     is_one = tried.startswith("One")  # says no more than what it needs, which stands at the end of the page
-    targets = "any" if set(cause.scopes) == ANY else ", ".join(cause.scopes)
+    targets = "any" if set(cause.scopes) == set(SCOPES) else ", ".join(cause.scopes)
     found = (
         f"Targets: {targets}. Axes: {', '.join(cause.axes)}.",
         f"Templates: {tried}" if tried and not is_one else "",
         f"Confirm: {cause.confirm}.",
     )
     return f"\n## {cause.identifier}\n{says} ({cause.unit}).{does}\n\n{' '.join(filter(None, found))}\n"
-
-
-ANY = {"path", "antenna", "group", "cable", "station"}
-"""Every target that a cause can have."""
 
 
 def _first_line(thing: Any) -> str:

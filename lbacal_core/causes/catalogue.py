@@ -12,13 +12,10 @@ from typing import Any
 from lbacal_core.causes import chain, sky
 from lbacal_core.causes.antenna import DipoleSwap, ResonanceShift, ResonanceWidth
 from lbacal_core.causes.cable import CableLength, CableReflection
-from lbacal_core.causes.cause import Cause, Conditions, Description, SizeRange, Template
+from lbacal_core.causes.cause import OF_HARDWARE, Cause, Conditions, Description, SizeRange, Template
 from lbacal_core.causes.grammar import Sentence, columns_of, in_words, parts_of, require_sentence
 from lbacal_core.errors import BadInputError
 from lbacal_core.foreign import read_json
-
-OF_HARDWARE = ("station", "group", "antenna", "path")
-"""Targets of what sits in an antenna or its receiver."""
 
 CAUSES: tuple[Cause, ...] = (
     sky.PointSource(),

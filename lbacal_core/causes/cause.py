@@ -261,9 +261,11 @@ EDGE = 1e-3
 """Share of a range that counts as its end."""
 BEYOND_SIGMA = 3.0
 """Standard deviations by which an error may carry a size beyond a physical end of its range."""
-SCOPES = ("path", "antenna", "group", "cable", "station")
-"""Kinds of targets: one path, the two paths of an antenna, paths that share hardware, paths of a cable name, the whole
-station."""
+SCOPES = ("path", "antenna", "group", "cable", "dipole", "station")
+"""Kinds of targets: one path, the two paths of an antenna, paths that share hardware, paths of a cable name, one dipole
+of all antennas, the whole station."""
+OF_HARDWARE = ("station", "dipole", "group", "antenna", "path")
+"""Targets of what sits in a path and has no cable."""
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ import numpy as np
 
 from lbacal_core.causes.cause import (
     FEWEST_KNOWN,
+    OF_HARDWARE,
     SCOPES,
     TEMPERATURE,
     YEAR_S,
@@ -170,7 +171,7 @@ class GainTemperature(TemperatureCause):
     meaning: str = "the gain in front of the receiver follows temperature"
     confirm: str = "compare the gain by day and by night at equal LST"
     axes: Sequence[str] = ("temperature", "utc", "date")
-    scopes: Sequence[str] = ("station", "group", "antenna", "path")
+    scopes: Sequence[str] = OF_HARDWARE
     does: Act | None = scale_gain
 
     def templates(self, conditions: Conditions) -> list[Template]:
@@ -211,7 +212,7 @@ class FilterShift(StepCause):
     meaning: str = "the receiver's filter moves in frequency"
     confirm: str = "measure the pass band of the receiver again"
     axes: Sequence[str] = ("date", "temperature")
-    scopes: Sequence[str] = ("station", "group", "antenna", "path")
+    scopes: Sequence[str] = OF_HARDWARE
     step: float = 1e-4
 
     def templates(self, conditions: Conditions) -> list[Template]:

@@ -21,7 +21,7 @@ from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import Template, signature
 from lbacal_core.causes.model import AdoptedCause, Model
 from lbacal_core.discovery.baseline import fit_baseline, leave_out_deaf
-from lbacal_core.discovery.hypothesis import Hypothesis, Target
+from lbacal_core.discovery.hypothesis import OF_ALL, Hypothesis, Target
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
 from lbacal_core.discovery.refit import FittedModel, fit_chain, fit_sizes, linearise, power_ratio
@@ -96,7 +96,9 @@ def find_members(station: Station, label: str) -> NDArray[np.bool_]:
         return np.asarray(np.array(station.conditions.cables)[station.class_of] == rest)
     if scope == "group":
         return np.asarray(station.group == rest)
-    expected = "station, antenna N, antenna N X, cable NAME or group NAME"
+    if scope == "dipole" and rest.endswith(OF_ALL):
+        return np.asarray(station.dipole == rest.removesuffix(OF_ALL))
+    expected = f"station, dipole X{OF_ALL}, antenna N, antenna N X, cable NAME or group NAME"
     raise BadInputError(f"adopted cause: target in {station.name}", expected, repr(label))
 
 

@@ -146,6 +146,7 @@ def describe_structure(
     """
     seen = [one for one in targets if one.label == structure.target]
     seen += [one for one in targets if one.scope == "antenna" and seen and np.all(one.is_member >= seen[0].is_member)]
+    seen += [one for one in targets if one.scope == "dipole" and structure.target == STATION]
     seen += [also] if also is not None and all(one.label != also.label for one in seen) else []
     if not seen:
         return Description()
@@ -187,7 +188,8 @@ def _search(
     found = list(single)
     for one in single[:KEPT]:
         place, law, course = parts_of(one.template)
-        found += score_sentences(model, targets, [(place, law)], [course])
+        told = [target for target in targets if place in places_of(target)]
+        found += score_sentences(model, told, [(place, law)], [course], choices)
     for hypothesis in said:
         place, law, course = parts_of(hypothesis.template)
         found += score_sentences(model, [hypothesis.target], [(place, law)], [course], choices)

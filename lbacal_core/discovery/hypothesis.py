@@ -13,17 +13,21 @@ from lbacal_core.causes.cause import Cause, Template
 from lbacal_core.discovery.station import Station
 from lbacal_core.grids import Floats
 
+OF_ALL = " of all antennas"
+"""How the label of one dipole of the station ends."""
+
 
 @dataclass(frozen=True)
 class Target:
-    """A set of paths: one path, an antenna, antennas that share hardware, a cable name, or the station.
+    """A set of paths: one path, an antenna, antennas that share hardware, a cable name, one dipole, or the station.
 
     Attributes
     ----------
     scope
         One of `lbacal_core.causes.cause.SCOPES`.
     label
-        In words: ``antenna 17 X``, ``antenna 17``, ``group board 3``, ``cable 80``, ``station``.
+        In words: ``antenna 17 X``, ``antenna 17``, ``group board 3``, ``cable 80``,
+        ``dipole X of all antennas``, ``station``.
     is_member
         Shape (path,).
     """
@@ -35,7 +39,12 @@ class Target:
     @property
     def is_wide(self) -> bool:
         """Whether it is more than an antenna, so that the mean of the station shows its effect."""
-        return self.scope in ("station", "cable", "group")
+        return self.has_all_antennas or self.scope in ("cable", "group")
+
+    @property
+    def has_all_antennas(self) -> bool:
+        """Whether it is the station or one dipole of all antennas: deviations from their mean tell nothing."""
+        return self.scope in ("station", "dipole")
 
 
 @dataclass(frozen=True)
@@ -85,10 +94,10 @@ class Rival:
 
 
 def list_targets(station: Station) -> list[Target]:
-    """Every path, antenna, cable name and group of a station, and the station."""
-    paths = len(station.antenna)
+    """Every path, antenna, cable name, group and dipole of a station, and the station."""
+    paths, dipoles = len(station.antenna), np.unique(station.dipole)
     targets = []
-    if paths > len(np.unique(station.dipole)):
+    if paths > len(dipoles):
         for k in range(paths):
             label = f"antenna {station.antenna[k]} {station.dipole[k]}"
             targets.append(Target("path", label, np.arange(paths) == k))
@@ -103,6 +112,8 @@ def list_targets(station: Station) -> list[Target]:
             is_antenna = scope == "group" and np.unique(station.antenna[is_member]).size == 1
             if not np.all(is_member) and not is_antenna:
                 targets.append(Target(scope, f"{scope} {name}", is_member))
+    if paths > len(dipoles) > 1:
+        targets += [Target("dipole", f"dipole {one}{OF_ALL}", station.dipole == one) for one in dipoles]
     return [*targets, Target("station", "station", np.ones(paths, dtype=bool))]
 
 

@@ -419,13 +419,14 @@ class LinearModel:
 
     def shows_in_means_alone(self, is_member: NDArray[np.bool_]) -> bool:
         """Whether the deviations of the paths say nothing about an effect on the paths marked, shape (path,)."""
-        return self.modes is not None and bool(np.all(is_member))
+        dipole = self.station.dipole
+        return self.modes is not None and bool(np.all(is_member == np.isin(dipole, dipole[is_member])))
 
     def share_of_deviation(self, is_member: NDArray[np.bool_]) -> Floats:
         """Share of an effect in the deviation of each path, shape (path,).
 
         Where the sky is free, changes of the sky have been taken out of the deviations, and an effect on the whole
-        station may look like one: the means alone then show it, and the share is 0.
+        station or on one of its dipoles may look like one: the means alone then show it, and the share is 0.
 
         It is 0 for a path outside the target. A path of the target has the share 1 if it is part of the mean; the
         change of the mean is subtracted from all these paths together (`lost`). If it is not part of the mean, the

@@ -213,7 +213,7 @@ def _best_view(
     model: LinearModel, target: Target, spectra: Sequence[FamilySpectra]
 ) -> tuple[View, list[FamilySpectra]]:
     """The view that shows a target best, and the spectral templates in it, their classes the rows of the view."""
-    if target.scope == "station":
+    if target.has_all_antennas:
         return model.common, [replace(one, values=model.mean_of(one.values, target.is_member)) for one in spectra]
     c = int(model.station.class_of[np.flatnonzero(target.is_member)[0]])
     view = model.lost[int(model.polarisation_of[c])]
@@ -419,13 +419,12 @@ def score_families(
 
 
 def score_in_means(
-    model: LinearModel, families: Sequence[SpectralFamily]
+    model: LinearModel, families: Sequence[SpectralFamily], target: Target
 ) -> list[tuple[Sequence[SpectralFamily], Floats, Floats]]:
-    """As `score_families` for the station, by the means of its paths alone, which hold almost all of what it shows."""
-    everyone = np.ones(len(model.station.antenna), dtype=bool)
+    """As `score_families` for all antennas, by the means of their paths alone, which hold almost all that they show."""
     found: list[tuple[Sequence[SpectralFamily], Floats, Floats]] = []
     for batch in batch_families(model.station.conditions, families, model.station.power[0].size):
-        shown = model.mean_of(FamilySpectra.of(model, batch).values, everyone)[:, None]
+        shown = model.mean_of(FamilySpectra.of(model, batch).values, target.is_member)[:, None]
         found.append((batch, *_score_alone(model.common, model.common.see(shown), batch[0].profiles)))
     return found
 
@@ -465,6 +464,7 @@ class _Scorer:
         self.model, self.targets = model, targets
         self.share_of_path = np.stack([model.share_of_deviation(target.is_member) for target in targets])
         self.share = np.stack([model.share_of_mean(target.is_member) for target in targets])
+        self.of_polarisation = np.eye(len(model.paths_in_mean))[model.polarisation_of]
         counts = model.paths_in_mean[model.polarisation_of]
         members = np.stack([target.is_member for target in targets])[:, None] & (
             model.station.class_of == np.arange(len(counts))[:, None]
@@ -485,7 +485,7 @@ class _Scorer:
         spectra = FamilySpectra.of(model, batch)
         score, information = np.zeros((2, len(batch), len(self.targets), len(profiles)))
         concerned = [t for t, target in enumerate(self.targets) if target.scope in cause.scopes]
-        wide = [t for t in concerned if self.targets[t].scope == "station"]
+        wide = [t for t in concerned if self.targets[t].has_all_antennas]
         local = [t for t in concerned if t not in wide]
         differ = self._differ(spectra) * (bool(wide) and model.modes is None)
         shares, classes = self.share[concerned], self.share.shape[1]
@@ -516,7 +516,8 @@ class _Scorer:
             score[:, local] *= is_shown
             information[:, local] *= is_shown
             if np.any(differ):
-                information[:, wide] -= (differ[:, None] * self._lost(profiles, spectra))[:, None]
+                has, lost = self.share[wide] @ self.of_polarisation > 0, self._lost(profiles, spectra)
+                information[:, wide] -= differ[:, None, None] * np.einsum("td,dsn->stn", has, lost)
         return score, information
 
     def _differ(self, spectra: FamilySpectra) -> NDArray[np.bool_]:
@@ -543,14 +544,14 @@ class _Scorer:
         return both[0], both[1]
 
     def _lost(self, profiles: Floats, spectra: FamilySpectra) -> Floats:
-        """Information that the deviations lose because their mean is taken out, shape (family, profile)."""
+        """Information that deviations lose because their mean is taken out, shape (polarisation, family, profile)."""
         model = self.model
         mean = model.mean_of(spectra.values, np.ones(len(model.station.antenna), dtype=bool))
-        lost = np.zeros((1, len(profiles)))
+        lost = []
         for d, (view, count) in enumerate(zip(model.lost, model.paths_in_mean, strict=True)):
             templates = spectra.in_view(view, mean[:, d : d + 1], *ALONE)
-            lost = lost + count * view.inner(templates, profiles)[0][:, 0, 0, 0]
-        return lost
+            lost.append(count * view.inner(templates, profiles)[0][:, 0, 0, 0])
+        return np.stack(lost)
 
 
 def _count_trials(
@@ -560,16 +561,14 @@ def _count_trials(
     cause = families[0].cause
     copies = float(len(families)) if len(families) > MANY_SPECTRA else 1.0
     chosen = families[len(families) // 2 :][:1] if copies > 1 else families
-    number = {scope: sum(target.scope == scope for target in targets) for scope in cause.scopes}
+    concerned = [target for target in targets if target.scope in cause.scopes]
+    largest = int(np.argmax([len(members) for members in model.members]))
+    typical = Target("path", "path", model.station.class_of == largest)
+    local = [typical for target in concerned if not target.has_all_antennas]
     total = 0.0
-    if number.get("station"):
-        everyone = Target("station", "station", np.ones(len(model.station.antenna), dtype=bool))
-        total += trials_factor(correlate(model, chosen, everyone), seed, level)
-    local = sum(count for scope, count in number.items() if scope != "station")
-    if local:
-        largest = int(np.argmax([len(members) for members in model.members]))
-        typical = Target("path", "path", model.station.class_of == largest)
-        total += local * trials_factor(correlate(model, chosen, typical), seed, level)
+    for alike in (local, *([target] for target in concerned if target.has_all_antennas)):
+        if alike:
+            total += len(alike) * trials_factor(correlate(model, chosen, alike[0]), seed, level)
     return copies * max(total, 1.0)
 
 

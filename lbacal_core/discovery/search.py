@@ -154,7 +154,7 @@ def search_station(
     ended = search.again.score if search.again else search.impossible
     hiding = [one.hypothesis.target for one in (*said, *similar)] + ([ended.target] if ended else [])
     # what is left when no score of an antenna is significant any more has hidden nothing in another
-    if others is not None and any(one.scope != STATION for one in hiding):
+    if others is not None and not all(one.has_all_antennas for one in hiding):
         rest = search_station(
             others, modes=modes, stations=stations, seed=seed, policy=policy, progress=progress, model=model,
             catalogue=catalogue,
@@ -165,7 +165,7 @@ def search_station(
     changing = list[Target]()
     if structure is not None:
         shown = (*hiding, search.significant, *(one for one in targets if one.label == structure.target))
-        changing = [one for one in shown if one is not None and one.scope != STATION]
+        changing = [one for one in shown if one is not None and not one.has_all_antennas]
     antenna_scores = compare_antennas(station, standing.baseline, targets, policy, seed, standing.hypotheses, changing)
     antenna_scores += compare_cable_names(standing.baseline, standing.linear, targets)
     antenna_scores.sort(key=lambda score: score.p_value)
@@ -238,7 +238,7 @@ def _name_structure(
     best = max(said, key=lambda one: one.chi2_before - one.chi2_after)
     chance, course = best.score.p_value, parts_of(best.hypothesis.template)[2]
     linear, alpha, structure = named.last.linear, search.policy.structure_alpha / search.stations, None
-    if best.hypothesis.target.scope == STATION:
+    if best.hypothesis.target.has_all_antennas:
         structure = structure_along(linear, rng, alpha, axis_of(course), chance)
     return named, structure or find_structure(linear, rng, alpha, chance)
 
@@ -319,18 +319,18 @@ def _seen_beside(
     z = np.abs(inverse @ score) / np.sqrt(np.maximum(np.diag(inverse), 1e-300))
     chances = [p_of(own, one.score.trials * one.score.causes) for own, one in zip(z.tolist(), findings, strict=True)]
     alpha, in_means = policy.catalogue_alpha * policy.beside_share, structure.vectors is not None
-    on_parts = [one.target.scope != STATION for one in hypotheses]
+    on_parts = [not one.target.has_all_antennas for one in hypotheses]
     return [p <= alpha or not (in_means or part) for p, part in zip(chances, on_parts, strict=True)]
 
 
 def _lives_there(one: Hypothesis, structure: ResidualStructure, conditions: Conditions) -> bool:
     """Whether the residual structure varies along an axis of a cause that was found, where it is seen.
 
-    An effect on the station is seen in the means, one on an antenna in its paths, one on a cable name or a group in
+    An effect on all antennas is seen in the means, one on an antenna in its paths, one on a cable name or a group in
     both: structure that differs from path to path is no effect on a group alone.
     """
     axes = _axes_of(one.cause, one.template, conditions)
-    shown = one.target.is_wide, one.target.scope != STATION
+    shown = one.target.is_wide, not one.target.has_all_antennas
     here, elsewhere = shown if structure.target == STATION else shown[::-1]
     lives_here = structure.axis is not None and structure.axis.along in axes and here
     return lives_here or (structure.elsewhere in axes and elsewhere)

@@ -87,7 +87,8 @@ def likeliest_sentences(
 ) -> list[ScoredSentence]:
     """The likeliest sentences of different families for a target, of few laws and places, ripples, and all courses."""
     conditions = model.station.conditions
-    spectra = [*product(places, rough_laws(conditions)[:NOTICED_BY]), *list_ripples(conditions)]
+    told = [place for place in places if place in places_of(target)]
+    spectra = [*product(told, rough_laws(conditions)[:NOTICED_BY]), *list_ripples(conditions)]
     return best_of_families(score_sentences(model, [target], spectra, list_courses(conditions), choices))[:TRIED]
 
 
@@ -139,9 +140,9 @@ def score_sentences(
 def _scores(
     model: LinearModel, families: Sequence[SpectralFamily], targets: Sequence[Target]
 ) -> list[tuple[Sequence[SpectralFamily], Floats, Floats]]:
-    """Scores of families: of one path or the station alone by what shows them, of several targets exactly."""
-    if len(targets) == 1 and targets[0].scope == "station":
-        return score_in_means(model, families)
+    """Scores of families: of one path or all antennas alone by what shows them, of several targets exactly."""
+    if len(targets) == 1 and targets[0].has_all_antennas:
+        return score_in_means(model, families, targets[0])
     if len(targets) == 1 and targets[0].scope == "path":
         return score_in_path(model, families, int(np.flatnonzero(targets[0].is_member)[0]))
     return score_families(model, families, targets)
@@ -238,7 +239,7 @@ def vary_sentence(model: LinearModel, one: ScoredSentence, choices: int) -> list
 
 def places_of(target: Target) -> list[str]:
     """Places that the data of a target can tell."""
-    return [name for name, place in PLACES.items() if target.scope != "path" or not place.needs_both]
+    return [name for name, place in PLACES.items() if target.scope not in ("path", "dipole") or not place.needs_both]
 
 
 def multiply(one: Form, other: Form) -> Form:

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from lbacal_core.causes.model import Model
 from lbacal_core.discovery.hypothesis import Hypothesis
 from lbacal_core.discovery.report import investigate
 from lbacal_core.discovery.search import _adds_beside
@@ -263,3 +264,19 @@ def test_one_arm_that_the_audit_calls_turned_was_consistent_or_both_arms_turned_
     assert finding["where"]["dipoles"] == ["Y"]
     assert "the arm of Y alone is turned" in finding["sentence"]
     assert abs(finding["size"]["value"] - turn) < 3 * finding["size"]["sigma"]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("is_own_sky", [True, False])
+@pytest.mark.parametrize("dipoles", [("X",), ("X", "Y")])
+def test_a_step_of_one_dipole_of_all_antennas_was_a_drift_and_a_step_back_of_the_other(world, is_own_sky, dipoles):
+    """No target had the paths: the station got a name, and each Y, which had not changed, another one."""
+    spectra = world.spectra(GainStep(size=0.15, date="2014-07-01", where=Where(dipoles=dipoles)))
+    known = replace(world.simulation, is_own_sky=is_own_sky)
+    report, _ = investigate(spectra, known)
+    (found,) = report["findings"]
+    assert (found["cause"], found["where"]["dipoles"], report["verdict"]) == ("gain_step", [*dipoles], "explained")
+    assert ("dipole X of all antennas" in found["sentence"]) == (dipoles == ("X",))
+    assert abs(found["size"]["value"] - 0.15) < 3 * found["size"]["sigma"]
+    adopted = Model.from_report(json.loads(json.dumps(report)))
+    assert investigate(spectra, known.with_causes(adopted))[0]["verdict"] == "consistent"
