@@ -207,7 +207,9 @@ def put_into_words(report: StationReport, seed: int = 0) -> StationReport:
     beside = [replace(one, target=whole[one.target.label]) for one in said]
     seen = [one for one in report.findings if _adds_beside(one, beside, report)]
     similar = [*report.similar, *(one for one in report.findings if all(one is not other for other in seen))]
-    return replace(report, description=description, rest=rest, findings=seen, similar=similar)
+    if len(seen) < len(report.findings):  # what was left beside a name that goes is not the structure
+        return put_into_words(replace(report, findings=seen, similar=similar), seed)
+    return replace(report, description=description, rest=rest)
 
 
 def _adds_beside(finding: Finding, sentences: Sequence[Hypothesis], report: StationReport) -> bool:

@@ -1,4 +1,4 @@
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,6 +8,8 @@ from lbacal_core.causes.axes import axis_named
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import Template
 from lbacal_core.causes.model import AdoptedCause, Model
+from lbacal_core.discovery import search
+from lbacal_core.discovery.describe import Description
 from lbacal_core.discovery.findings import Grown, _idle
 from lbacal_core.discovery.growth import grow
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
@@ -113,6 +115,36 @@ def test_antennas_are_compared_beside_the_findings_that_stand(world):
     paths = look.data.antenna == 1
     bent = np.log(both.baseline.solution.x / left.baseline.solution.x)[paths]
     assert np.ptp(bent) > 1e-3
+
+
+@dataclass(frozen=True)
+class Put:
+    """What `put_into_words` reads of a report."""
+
+    findings: list
+    structure: str = "some"
+    similar: tuple = ()
+    said: tuple = ()
+    description: Description | None = None
+    rest: None = None
+    first: None = None
+    station: None = None
+    policy: None = None
+    significant: None = None
+
+
+def test_structure_is_described_again_without_a_name_that_its_sentence_takes_back(monkeypatch):
+    """A notch since a date was noise of the converter in a course of 4 harmonics: the rest of a line's false name."""
+    stands, goes = (SimpleNamespace(hypothesis=name) for name in ("stands", "goes"))
+    station = Target("station", "station", np.ones(1, dtype=bool))
+    said = SimpleNamespace(hypothesis=Hypothesis(None, Template(), station, 1.0))
+    monkeypatch.setattr(search, "_with", lambda _, hypotheses: hypotheses)
+    monkeypatch.setattr(search, "list_targets", lambda _: [station])
+    monkeypatch.setattr(search, "describe_structure", lambda left, *_: Description([said], remains=left))
+    monkeypatch.setattr(search, "_adds_beside", lambda finding, *_: finding is stands)
+    report = search.put_into_words(Put([goes, stands]))
+    assert (report.findings, report.similar) == ([stands], [goes])
+    assert report.description.remains == ["stands"], "the model without the other"
 
 
 def finding_of(look, target):
