@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -271,6 +271,17 @@ class JobStore(Store):
         is_outdated = and_(IS_OPEN, job_part.c.state == QUEUED, job_part.c.inputs != inputs, job_part.c.job.in_(due))
         values = {"state": FAILED, "ended_us": now, "error": GIVEN_UP}
         return self._connection.execute(update(job_part).where(is_outdated).values(values)).rowcount
+
+    def end_failures(self, kinds: Sequence[str], called: Collection[str | None]) -> None:
+        """Cancel the failed parts of due jobs of some kinds that are not called for, by their due names."""
+        failed = job_part.c.job.in_(select(job.c.id).where(job.c.kind.in_(kinds), job.c.due_name.is_not(None)))
+        statement = select(job.c.id, job.c.due_name).where(
+            job.c.id.in_(select(job_part.c.job).where(HAS_FAILED, failed))
+        )
+        moot = [row.id for row in self._connection.execute(statement) if row.due_name not in called]
+        if moot:
+            ended = update(job_part).where(HAS_FAILED, job_part.c.job.in_(moot))
+            self._connection.execute(ended.values(state=CANCELLED))
 
     def get(self, number: int) -> Job:
         """Get one job by its number; `NotFoundError` for an unknown one."""

@@ -66,7 +66,8 @@ class DueWork:
         """Enqueue everything that is due, and return the new jobs; spectra whose level lasts take part from now on.
 
         Where no usable spectrum is left, what they gave ends.
-        Work that nobody has begun and that was enqueued for another instrument, sky power or model version is given up.
+        Work that nobody has begun and that was enqueued for another instrument, sky power or model version is given up,
+        and what failed and is no longer called for is no failure.
         """
         with self.database.write() as stores:
             stores.jobs.drop_outdated(self._inputs.text, self.clock())
@@ -74,7 +75,10 @@ class DueWork:
             stores.ledger.append(end_empty(stores), self.clock)
         with self.database.read() as stores:
             orders = [*self._refits(stores), *self._drift(stores)]
+            called = {one.due_name for one in orders}
             orders += self._investigations(stores)
+        with self.database.write() as stores:
+            stores.jobs.end_failures((REFIT, DRIFT), called)
         return self._add(orders) or self.enqueue_watch()
 
     def enqueue_model(self, stores: Stores, change: ModelChange, *, promote: bool) -> list[int]:

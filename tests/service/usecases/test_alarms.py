@@ -148,6 +148,9 @@ def test_due_work_that_fails_is_an_alarm_at_once_and_what_somebody_asked_for_is_
     work(factory)
     factory.alarms.look()
     assert [one["sentence"] for one in alarms(client, kind="failed_job")] == sentences
+    factory.due.enqueue()
+    factory.alarms.look()
+    assert alarms(client, kind="failed_job") == [], "nothing is left that calls for it"
 
 
 def test_a_window_whose_newest_version_misfits_is_an_alarm_until_one_fits(
