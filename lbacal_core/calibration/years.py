@@ -185,7 +185,8 @@ def _extrapolate(taken: Sequence[Floats], given: Sequence[Floats]) -> Floats:
     last = np.array(given[-3:])
     left = last - np.array(taken[-len(last) :])
     changes = np.moveaxis(np.diff(left, axis=0), 0, -1)
-    weight = np.linalg.pinv(changes) @ left[-1][:, :, None]
+    along = np.swapaxes(changes, -1, -2)
+    weight = solve_symmetric(along @ changes, along @ left[-1][:, :, None])
     return np.asarray(last[-1] - (np.moveaxis(np.diff(last, axis=0), 0, -1) @ weight)[:, :, 0])
 
 

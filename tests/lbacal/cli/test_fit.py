@@ -165,7 +165,10 @@ BAD_INPUT: dict[str, tuple[Callable[[Path], None], str]] = {
     "random spectra": (write("spectra.h5", bytes(range(256)) * 40), "found something unreadable"),
     "no rows": (cut_to(0), "spectra.h5: expected at least one spectrum, found none"),
     "NaN": (change_spectra(lambda f: f["power"].__setitem__((7, 3), np.nan)), "power, row 7: .* found nan at 33 MHz"),
-    "future": (change_spectra(lambda f: f["time_unix"].__setitem__(7, 4e9)), "time_unix, row 7: .*found 4000000000.0"),
+    "future": (
+        change_spectra(lambda f: f["time_unix"].__setitem__(7, 4e9)),
+        "time_unix, row 7: .*found 2096-10-02T07:06:40Z",
+    ),
     "unknown antenna": (
         change_spectra(lambda f: f["antenna"].__setitem__(slice(240, 480), 9)),
         (
