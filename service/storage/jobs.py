@@ -273,15 +273,13 @@ class JobStore(Store):
         return self._connection.execute(update(job_part).where(is_outdated).values(values)).rowcount
 
     def end_failures(self, kinds: Sequence[str], called: Collection[str | None]) -> None:
-        """Cancel the failed parts of due jobs of some kinds that are not called for, by their due names."""
-        failed = job_part.c.job.in_(select(job.c.id).where(job.c.kind.in_(kinds), job.c.due_name.is_not(None)))
-        statement = select(job.c.id, job.c.due_name).where(
-            job.c.id.in_(select(job_part.c.job).where(HAS_FAILED, failed))
-        )
+        """Cancel due jobs of some kinds that failed and are not called for, by their due names."""
+        failed = select(job_part.c.job).where(HAS_FAILED, job_part.c.error != GIVEN_UP)
+        is_due = and_(job.c.kind.in_(kinds), job.c.due_name.is_not(None), ~job.c.is_cancelled)
+        statement = select(job.c.id, job.c.due_name).where(is_due, job.c.id.in_(failed))
         moot = [row.id for row in self._connection.execute(statement) if row.due_name not in called]
         if moot:
-            ended = update(job_part).where(HAS_FAILED, job_part.c.job.in_(moot))
-            self._connection.execute(ended.values(state=CANCELLED))
+            self._connection.execute(update(job).where(job.c.id.in_(moot)).values(is_cancelled=True))
 
     def get(self, number: int) -> Job:
         """Get one job by its number; `NotFoundError` for an unknown one."""
@@ -341,7 +339,7 @@ class JobStore(Store):
         is_same = and_(later.c.id > job.c.id, later.c.request == job.c.request, later.c.kind == job.c.kind)
         made_up = select(later.c.id).where(is_same, later.c.due_name.is_not(None), job.c.due_name.is_not(None)).exists()
         failed = select(job_part.c.job).where(HAS_FAILED, job_part.c.ended_us >= since)
-        statement = select(job.c.id, job.c.due_name).where(job.c.id.in_(failed), ~made_up)
+        statement = select(job.c.id, job.c.due_name).where(job.c.id.in_(failed), ~made_up, ~job.c.is_cancelled)
         rows = self._connection.execute(statement.order_by(job.c.id.desc()).limit(limit)).all()
         jobs = self._with_parts([row.id for row in rows])
         tries = {row.id: self._tries(row.due_name) if row.due_name else None for row in rows}
