@@ -91,6 +91,11 @@ def parse_name(value: Any, place: str) -> str:
     return value
 
 
+def write_instant(at_unix: float) -> str:
+    """An instant, s UTC, to the second as ISO 8601."""
+    return f"{datetime.fromtimestamp(at_unix, UTC):%Y-%m-%dT%H:%M:%SZ}"
+
+
 def parse_optional_name(value: Any, place: str) -> str | None:
     """Read a printable name, or None where there is none."""
     return None if value is None else parse_name(value, place)

@@ -56,7 +56,7 @@ UNKNOWN = (
 """Why the data of a path with enough events at enough sidereal times do not determine C."""
 UNSTEADY, FEWEST_PATHS = 3.0, 4
 """Scatter from event to event over that of the typical path that is told, where there are so many: gains of working
-antennas scatter alike, one with a quarter of its events at twice the power by ten times as much."""
+antennas scatter alike, one with a quarter of its events at twice the power by 35 % where others do by 5."""
 NEXT_STEP = "lbacal.investigate(spectra, instrument).save('R.html')"
 """What to do where a curve is a misfit; the command says it in its own words."""
 
@@ -243,9 +243,11 @@ def _describe_unsteady(report: FitReport) -> Iterator[str]:
     names = {(one.station, one.antenna, one.dipole): one.name for one in report.curves if one.antenna is not None}
     every = [one for kept in report.lines for one in zip(kept.owners, kept.scatter.tolist(), strict=True)]
     of = {names[owner]: scatter for owner, scatter in every if owner in names}
-    typical = float(np.median([*of.values(), 0.0]))
+    if len(of) < FEWEST_PATHS:
+        return
+    typical = float(np.median(list(of.values())))
     for name, scatter in of.items():
-        if len(of) >= FEWEST_PATHS and scatter > UNSTEADY * typical:
+        if scatter > UNSTEADY * typical:
             yield (
                 f"{name}: its power scatters by {100 * scatter:.0f} % from event to event, that of the typical path by "
                 f"{100 * typical:.0f} %: it changed, or fails at times, and C is that of the mean"

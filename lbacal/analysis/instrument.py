@@ -15,6 +15,7 @@ from lbacal.files import path_of, written_beside
 from lbacal.settings import causes_file
 from lbacal.units import convert_number, convert_numbers
 from lbacal_core.errors import BadInputError, require_kind
+from lbacal_core.foreign import parse_number
 from lbacal_core.instrument.antennas import ABSOLUTE, AntennaRecord, GainProvenance
 from lbacal_core.instrument.antennas import Site as CoreSite
 from lbacal_core.instrument.instrument import Instrument as CoreInstrument
@@ -58,7 +59,7 @@ class Antenna:
     gain_source
         Where a G_ant in m^2 comes from, in words; None for one that is in m^2 up to a factor.
     doubt
-        Probability that the antenna is another than `model`: 0 where it was measured; None for 1 in 20.
+        Probability that the antenna is another than `model`: 0 where it was measured; None where nobody says.
     """
 
     model: str
@@ -124,7 +125,7 @@ class Instrument:
             ),
             antenna=antenna.model,
             sky=sky,
-            antenna_doubt=antenna.doubt,
+            antenna_doubt=None if antenna.doubt is None else parse_number(antenna.doubt, "antenna: doubt"),
             dipole_tilt_deg={letter: tilt for letter, tilt in tilts.items() if tilt},
             gain_provenance=None if antenna.gain_source is None else GainProvenance(ABSOLUTE, antenna.gain_source),
             stages=stages,

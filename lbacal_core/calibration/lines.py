@@ -364,16 +364,13 @@ def is_disturbed(radiometer: Floats, level: Floats, slope: Floats) -> NDArray[np
     Strong lines bend the chain so far that none stands out of it. A channel is loud by itself and over its slope: one
     by a resonance has a large slope, too, and one at the end of the band little power.
     """
-
-    def put_beside(values: Floats) -> Floats:
-        padded = np.pad(values, ((0, 0), (BESIDE, BESIDE)), mode="reflect")
-        return np.lib.stride_tricks.sliding_window_view(padded, 2 * BESIDE + 1, axis=1)
-
+    padded = np.pad(radiometer, ((0, 0), (BESIDE, BESIDE)), mode="reflect")
+    typical = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * BESIDE + 1, axis=1), axis=2)
     is_loud = np.ones(level.shape, dtype=bool)
     for one in (level, level / np.maximum(slope, 1e-300)):
-        beside = put_beside(one)
-        is_loud &= one > LOUD * np.maximum(beside[..., BESIDE - 1], beside[..., BESIDE + 1])
-    return np.asarray(is_loud | (radiometer > EXCESS_SCATTER * np.median(put_beside(radiometer), axis=2)))
+        beside = np.pad(one, ((0, 0), (1, 1)), mode="reflect")
+        is_loud &= one > LOUD * np.maximum(beside[:, :-2], beside[:, 2:])
+    return np.asarray(is_loud | (radiometer > EXCESS_SCATTER * typical))
 
 
 def find_free(information: Floats) -> NDArray[np.bool_]:

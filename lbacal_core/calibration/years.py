@@ -36,7 +36,7 @@ from lbacal_core.instrument.chain import Intercepts
 from lbacal_core.linear import invert_symmetric, solve_symmetric
 
 MOST_ROUNDS, SMALLEST_STEP = 20, 1e-4
-"""Gains of a year move by a few percent and take three rounds, six times the power twelve."""
+"""Gains of a year move by a few percent and take three rounds, a tenth of the power up to 17."""
 GAIN_SIGMAS, OTHER_SIGMAS = (0.3, 0.03, 0.03), (1.0, 0.5, 0.1)
 """Standard deviations of ln of the gain between two windows, and of its tilt and curvature at the band's end; where the
 hardware is another, which may have a cable that nobody entered (80 m in place of 50 m: -0.76, -0.18, 0.01)."""

@@ -21,6 +21,7 @@ import numpy as np
 from lbacal_core.causes.axes import DAY_S
 from lbacal_core.causes.cause import RAIN, SCOPES, TEMPERATURE, YEAR_S, Cause, Conditions, SizeRange, Template
 from lbacal_core.errors import BadInputError
+from lbacal_core.foreign import write_instant
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.chain import ChainTerms
 from lbacal_core.instrument.sidereal import SIDEREAL_DAY_S
@@ -338,11 +339,6 @@ def _levels(conditions: Conditions, form: Form) -> list[float]:
 
 def _rank(conditions: Conditions) -> Floats:
     return np.asarray(np.argsort(np.argsort(conditions.time_unix, kind="stable"), kind="stable"))
-
-
-def write_instant(at_unix: float) -> str:
-    """An instant, s UTC, to the second as ISO 8601."""
-    return f"{datetime.fromtimestamp(at_unix, UTC):%Y-%m-%dT%H:%M:%SZ}"
 
 
 def _unix(instant: str) -> float:

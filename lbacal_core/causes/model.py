@@ -19,8 +19,9 @@ import numpy as np
 from lbacal_core.causes.axes import ResidualTerm
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import Cause, Template
-from lbacal_core.causes.grammar import Sentence, is_of_dates, require_sentence, write_instant
+from lbacal_core.causes.grammar import Sentence, is_of_dates, require_sentence
 from lbacal_core.errors import BadInputError
+from lbacal_core.foreign import write_instant
 from lbacal_core.provenance import canonical_json, hash_content
 
 FORMAT = "lbacal-model-1"

@@ -15,7 +15,7 @@ from lbacal_core.audit.record import OF_RECORD, RecordError, put_right
 from lbacal_core.calibration.chain_form import FORM_OF_CHAIN, compare_forms
 from lbacal_core.causes.axes import describe_term
 from lbacal_core.causes.cause import Description as CauseTexts
-from lbacal_core.causes.grammar import PLACES, as_equation, in_words, write_instant
+from lbacal_core.causes.grammar import PLACES, as_equation, in_words
 from lbacal_core.discovery.adopted import describe_size, fit_adopted
 from lbacal_core.discovery.antennas import AntennaScore
 from lbacal_core.discovery.describe import Described, Description
@@ -33,6 +33,7 @@ from lbacal_core.discovery.residual_structure import ResidualStructure
 from lbacal_core.discovery.scan import Score
 from lbacal_core.discovery.search import StationReport, put_into_words, search_station
 from lbacal_core.discovery.station import Station, gather_stations, model_modes
+from lbacal_core.foreign import write_instant
 from lbacal_core.grids import Floats, require_same_grid
 from lbacal_core.instrument.chain import BEHIND, PUBLISHED
 from lbacal_core.provenance import Provenance

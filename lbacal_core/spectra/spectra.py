@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from lbacal_core import hdf5
 from lbacal_core.errors import BadInputError, UnreadableFileError, reading
+from lbacal_core.foreign import write_instant
 from lbacal_core.grids import Floats, guess_widths, require_channels, require_same_grid
 from lbacal_core.instrument.antennas import EXPECTED, are_dipole_names
 from lbacal_core.provenance import hash_arrays, hash_content
@@ -64,10 +65,6 @@ def span_of_record(now_unix: float) -> tuple[float, float]:
     From 2009 (LOFAR's first dumps are older) to a day ahead of `now_unix`.
     """
     return EARLIEST_UNIX, now_unix + DAY_S
-
-
-def _write_instant(time_unix: float) -> str:
-    return f"{datetime.fromtimestamp(time_unix, UTC):%Y-%m-%dT%H:%M:%SZ}"
 
 
 @dataclass(frozen=True)
@@ -184,7 +181,7 @@ class Spectra:
         values = self.environment[name.removeprefix("env/")] if name.startswith("env/") else getattr(self, name)
         found = repr(str(values[row])) if name in ("event_id", "station", "dipole") else f"{values[row]}"
         if name == "time_unix" and abs(values[row]) < FAR_UNIX:
-            found = f"{_write_instant(values[row])} ({found} s UTC)"
+            found = f"{write_instant(values[row])} ({found} s UTC)"
         if name == "power":
             channel = int(np.flatnonzero(~(np.isfinite(values[row]) & (values[row] > 0)))[0])
             found = f"{values[row, channel]} at {self.frequency_mhz[channel]:g} MHz"
@@ -254,7 +251,7 @@ class Spectra:
         """Refuse spectra of instants beyond `span_of_record`."""
         first, last = span_of_record(now_unix)
         self._require("time_unix", self.time_unix >= first, "an instant of 2009 or later (s UTC)")
-        limit = f"an instant not after {_write_instant(last)}, a day ahead of now"
+        limit = f"an instant not after {write_instant(last)}, a day ahead of now"
         self._require("time_unix", self.time_unix <= last, limit)
 
     @property

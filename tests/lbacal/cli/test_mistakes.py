@@ -180,6 +180,7 @@ PYTHON: dict[str, tuple[Callable[[], Any], str]] = {
     "a kind in capitals": (lambda: make([lbacal.Stage("LNA", 20 * u.dB)]), "is lna meant?"),
     "latitude and longitude exchanged": (lambda: make(site=lbacal.Site(116.6, -26.7)), "are the two exchanged?"),
     "radians": (lambda: make(arms={"X": 0.785, "Y": 2.356}), "look like radians"),
+    "words for a doubt": (lambda: make(doubt="none"), "antenna: doubt: expected a finite number"),
     "a length for a gain": (lambda: make(gain=2 * u.m), "expected one in m2"),
     "a mass for a place": (lambda: make(site=lbacal.Site(3 * u.kg, 6.9)), "expected one in deg"),
     "a cable that amplifies": (lambda: lbacal.Instrument(

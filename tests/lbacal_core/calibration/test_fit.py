@@ -9,10 +9,11 @@ from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.instrument.chain import calibration_factor
 from lbacal_core.instrument.instrument import load_instrument
+from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.power import compute_sky_power
 from lbacal_core.sky.table import read_sky_power
-from lbacal_core.spectra.spectra import read_spectra
+from lbacal_core.spectra.spectra import Spectra, read_spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
 
@@ -282,6 +283,32 @@ WRONG_SPECTRA = {
     "summer time": lambda s: replace(s, time_unix=s.time_unix + 7200.0),
     "channels reversed": lambda s: replace(s, power=s.power[:, ::-1].copy()),
 }
+
+
+def test_noise_that_is_negative_under_one_map_of_the_sky_and_not_under_another_is_no_misfit():
+    """Every curve was, of the sky of LFSM told as GSM behind a nearly flat receiver, and nothing else was wrong."""
+    superterp = Simulation.load("lofar-superterp").instrument
+    x = (superterp.frequency_mhz - 55.5) / 25.0
+    flat = replace(superterp, receiver_gain=1.05 - 0.5 * x**4, antenna_gain=128.0 / (1.0 + 3.0 * x**2))
+    other, rng, events = compute_sky_power(flat, sky="lfsm"), np.random.default_rng(1), 700
+    time_unix = 1.39e9 + np.sort(rng.uniform(0.0, 365 * 86_400.0, events))
+    lst, rows = local_sidereal_time(time_unix, flat.longitude_deg), []
+    paths = [(antenna, dipole) for antenna in range(3) for dipole in "XY"]
+    for antenna, dipole in paths:
+        sky = other.at(dipole, lst)
+        slope = 1e4 * flat.antenna_gain * flat.receiver_gain * flat.cables[flat.cable_of("CS002", antenna, 1.39e9)]
+        power = slope * (sky + 0.1 * sky.mean()) + 0.004 * (slope * sky).mean() * flat.receiver_gain
+        rows.append(power * rng.normal(1.0, 0.01, (events, 1)) * rng.gamma(2500.0, 1 / 2500.0, power.shape))
+    spectra = Spectra(
+        frequency_mhz=flat.frequency_mhz, power=np.concatenate(rows), time_unix=np.tile(time_unix, len(paths)),
+        event_id=np.tile([f"e{k}" for k in range(events)], len(paths)), station=np.full(len(paths) * events, "CS002"),
+        antenna=np.repeat([antenna for antenna, _ in paths], events),
+        dipole=np.repeat([dipole for _, dipole in paths], events), blocks=np.full(len(paths) * events, 500),
+    )  # fmt: skip
+    curves = fit_calibration(spectra, Simulation(flat, compute_sky_power(flat), is_own_sky=True)).curves
+    constants = [curve.parameters["n_adc"] for curve in curves]
+    assert min(one.value / one.sigma for one in constants) < -6.0
+    assert {curve.status for curve in curves} == {"converged"}
 
 
 @pytest.mark.long
