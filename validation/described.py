@@ -37,6 +37,7 @@ FEWEST = 2
 MOST = 3
 """Sentences among which the right one may be."""
 
+SOURCES = ("Cas A", "Cyg A", "Tau A", "Vir A")
 PLACES = {
     "MainsHum": ("front",),
     "WorkingWeek": ("receiver",),
@@ -62,12 +63,12 @@ PLACES = {
     "lna_noise_temperature": ("antenna",),
     "lst_offset": ("time", "sky"),
     "pattern_width": ("sky",),
-    "point_source": ("antenna", "sky"),
+    "point_source": ("antenna", "sky", *SOURCES),
     "resonance_shift": ("front",),
     "resonance_width": ("front",),
     "rfi_broadband": ("antenna",),
     "rfi_line": ("converter",),
-    "solar_emission": ("antenna", "sky"),
+    "solar_emission": ("antenna", "sky", "Sun"),
     "zenith_weighting": ("sky",),
     "sky": ("sky",),
     "added": ("antenna",),

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import partial
 from inspect import signature
 from itertools import pairwise, product
 from typing import Any
@@ -20,6 +21,7 @@ import numpy as np
 
 from lbacal_core.causes.axes import DAY_S
 from lbacal_core.causes.cause import RAIN, SCOPES, TEMPERATURE, YEAR_S, Cause, Conditions, SizeRange, Template
+from lbacal_core.causes.sky import NO_DIRECTIONS, SOURCE_KEYS, PointSource, SolarEmission
 from lbacal_core.errors import BadInputError
 from lbacal_core.foreign import write_instant
 from lbacal_core.grids import Floats
@@ -616,6 +618,29 @@ def _move_in_time(terms: ChainTerms, conditions: Conditions, change: Floats) -> 
     return replace(terms, sky=terms.sky + change * (later - earlier) / (2.0 * RATE_H))
 
 
+def _add_from_sun(terms: ChainTerms, conditions: Conditions, change: Floats) -> ChainTerms:
+    """Add power of the Sun through the antenna's pattern, in units of the mean sky power at 55 MHz."""
+    if conditions.sun_response is None:
+        raise BadInputError("sentence: Sun", "channels that an antenna model covers", NO_DIRECTIONS)
+    return replace(terms, sky=terms.sky + change * conditions.sky_at_55[:, None, None] * conditions.sun_response)
+
+
+def _knows(name: str, conditions: Conditions) -> bool:
+    """Whether the own sky and antenna model say how a source is received."""
+    return name in conditions.sky_ratio
+
+
+def _vary_source(name: str) -> Act:
+    """Multiply the power of a source by 1 + change."""
+
+    def act(terms: ChainTerms, conditions: Conditions, change: Floats) -> ChainTerms:
+        if not _knows(name, conditions):
+            raise BadInputError(f"sentence: {name}", "channels that sky and antenna models cover", NO_DIRECTIONS)
+        return replace(terms, sky=terms.sky * conditions.sky_ratio[name](change))
+
+    return act
+
+
 def _follow_power(terms: ChainTerms, _: Conditions, change: Floats) -> ChainTerms:
     """Change the gain in front of the converter with the excess of the power there over its mean."""
     total = np.sum((terms.sky + terms.n_lna) * terms.front + terms.receiver_noise, axis=-1, keepdims=True)
@@ -639,6 +664,8 @@ class Place:
         Whether it changes from event to event by itself, so that its course says no more than when it acts.
     needs_both
         Whether one polarisation alone does not tell it from another place.
+    is_there
+        Whether some data can show it.
     """
 
     act: Act
@@ -647,6 +674,7 @@ class Place:
     confirm: str
     moves: bool = False
     needs_both: bool = False
+    is_there: Callable[[Conditions], bool] = lambda _: True
 
 
 PLACES: dict[str, Place] = {
@@ -698,7 +726,7 @@ PLACES: dict[str, Place] = {
     ),
     "time": Place(
         _move_in_time,
-        "the sky is that of a later sidereal time (size in hours)",
+        "the sky is that of a later sidereal time, or the antenna leans to the east (size in hours, 15 degrees each)",
         "P_sky -> P_sky + dP_sky/dLST {0}",
         "compare the transit of a bright source in interferometric data with its right ascension",
         moves=True,
@@ -710,8 +738,27 @@ PLACES: dict[str, Place] = {
         "insert an attenuator and look whether the ratio of strong to weak sky changes",
         moves=True,
     ),
+    "Sun": Place(
+        _add_from_sun,
+        "power of the Sun is added (size over the mean sky power at 55 MHz, Sun overhead)",
+        "P_sky -> P_sky + P_sky(55 MHz) D(Sun) {0}",
+        SolarEmission().confirm,
+        moves=True,
+        is_there=lambda c: c.sun_response is not None and c.has_day_and_night,
+    ),
+    **{
+        source: Place(
+            _vary_source(source),
+            f"the power of {source} changes (size over its flux)",
+            f"P_sky -> P_sky + P({source}) {{0}}",
+            PointSource().confirm,
+            moves=True,
+            is_there=partial(_knows, source),
+        )
+        for source in SOURCE_KEYS
+    },
 }
-"""Places in the chain by name, from the sky to the record; then those that act by polarisation, time, and power."""
+"""Places in the chain by name, from the sky to the record; those that act by polarisation, time, and power; sources."""
 
 
 @dataclass(frozen=True)
@@ -875,7 +922,8 @@ def as_equation(template: Template) -> str:
 def _say(kinds: Mapping[str, Kind], form: Form) -> str:
     name, *numbers = form
     if name == PRODUCT:
-        return f"{_say(kinds, form[1])}, and only {_say(kinds, form[2])}"
+        only = "only" if kinds[form[2][0]].gates else "that"
+        return f"{_say(kinds, form[1])}, and {only} {_say(kinds, form[2])}"
     if name == "wave":
         clock, number, highest = numbers
         several = "a wave" if number == 1 else f"{number:g} waves"

@@ -176,19 +176,19 @@ def _search(
     conditions, choices = model.station.conditions, len(targets)
     noticed = [likeliest_sentences(model, one, choices, POINTED_BY)[0] for one in seen] if len(seen) > 1 else []
     whole = max(noticed, key=lambda one: one.gain).target if noticed else seen[0]
-    places = [name for name in places_of(whole) if not PLACES[name].moves]
+    places = [name for name in places_of(whole, conditions) if not PLACES[name].moves]
     spectra = [*product(places, rough_laws(conditions)), *list_ripples(conditions)]
     rough = score_sentences(model, [whole], spectra, list_courses(conditions), choices)
     likely = list(dict.fromkeys(parts_of(one.template)[2] for one in best_of_families(rough)))[:LIKELY]
     spectra = list(product(places, list_laws(conditions)))
     found = score_sentences(model, [whole], spectra, likely, choices)
-    moving = [name for name, place in PLACES.items() if place.moves]
+    moving = [name for name in places_of(whole, conditions) if PLACES[name].moves]
     found += score_sentences(model, [whole], list(product(moving, rough_laws(conditions))), [("always",)], choices)
     single = best_of_families(found)
     found = list(single)
     for one in single[:KEPT]:
         place, law, course = parts_of(one.template)
-        told = [target for target in targets if place in places_of(target)]
+        told = [target for target in targets if place in places_of(target, conditions)]
         found += score_sentences(model, told, [(place, law)], [course], choices)
     for hypothesis in said:
         place, law, course = parts_of(hypothesis.template)

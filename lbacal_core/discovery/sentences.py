@@ -87,7 +87,7 @@ def likeliest_sentences(
 ) -> list[ScoredSentence]:
     """The likeliest sentences of different families for a target, of few laws and places, ripples, and all courses."""
     conditions = model.station.conditions
-    told = [place for place in places if place in places_of(target)]
+    told = [place for place in places if place in places_of(target, conditions)]
     spectra = [*product(told, rough_laws(conditions)[:NOTICED_BY]), *list_ripples(conditions)]
     return best_of_families(score_sentences(model, [target], spectra, list_courses(conditions), choices))[:TRIED]
 
@@ -228,7 +228,7 @@ def vary_sentence(model: LinearModel, one: ScoredSentence, choices: int) -> list
     place, law, course = parts_of(one.template)
     conditions = model.station.conditions
     spectra = [(place, other) for other in list_laws(conditions)]
-    spectra += [(name, law) for name in places_of(one.target) if PLACES[name].moves == PLACES[place].moves]
+    spectra += [(name, law) for name in places_of(one.target, conditions) if PLACES[name].moves == PLACES[place].moves]
     courses, gates = list_courses(conditions), _gates(conditions)
     factors = course[1:] if course[0] == PRODUCT else (course,)
     every = [*courses, *factors, *(multiply(own, gate) for own in factors for gate in gates)]
@@ -237,9 +237,10 @@ def vary_sentence(model: LinearModel, one: ScoredSentence, choices: int) -> list
     return found + score_sentences(model, [one.target], [(place, law)], list(dict.fromkeys(every)), choices)
 
 
-def places_of(target: Target) -> list[str]:
+def places_of(target: Target, conditions: Conditions) -> list[str]:
     """Places that the data of a target can tell."""
-    return [name for name, place in PLACES.items() if target.scope not in ("path", "dipole") or not place.needs_both]
+    is_one = target.scope in ("path", "dipole")
+    return [name for name, place in PLACES.items() if place.is_there(conditions) and not (is_one and place.needs_both)]
 
 
 def multiply(one: Form, other: Form) -> Form:

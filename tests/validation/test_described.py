@@ -68,6 +68,14 @@ def test_working_days_are_said_in_words_that_hold_in_other_events() -> None:
 
 
 @pytest.mark.long
+@pytest.mark.parametrize(("seed", "kind", "place"), [(21, "solar_emission", "Sun"), (16, "point_source", "Tau A")])
+def test_a_source_is_said_where_no_cause_of_the_catalogue_is_one(seed: int, kind: str, place: str) -> None:
+    row = try_left_out(seed)
+    assert (row["kind"], row["places"][:1]) == (kind, [place])
+    assert row["alike"][0] > ALIKE
+
+
+@pytest.mark.long
 def test_other_parts_run() -> None:
     composed, left_out = try_composed(4), try_left_out(8)
     assert max(composed["alike"]) > ALIKE

@@ -37,6 +37,7 @@ from lbacal_core.causes.grammar import (
     sentence,
 )
 from lbacal_core.causes.model import AdoptedCause, Model, follows_date
+from lbacal_core.causes.sky import SOURCE_KEYS
 from lbacal_core.errors import BadInputError
 
 SENTENCE = Sentence()
@@ -86,6 +87,7 @@ def test_a_place_acts_as_the_chain_written_out(conditions, terms):
     )
     sky, lna, s, rcu, adc = terms.sky, terms.n_lna, terms.front, terms.receiver_noise, terms.adc_noise
     mean = conditions.mean_sky[:, None]
+    at_55 = np.array([np.interp(55.0, conditions.frequency_mhz, one) for one in conditions.mean_sky])[:, None, None]
     sign = np.where(np.array(conditions.dipoles) == "X", 1.0, -1.0)[:, None, None]
     rate = (conditions.later(sky, np.array([0.05])) - conditions.later(sky, np.array([-0.05]))) / 0.1
     total = ((sky + lna) * s + rcu).sum(axis=2, keepdims=True)
@@ -100,11 +102,22 @@ def test_a_place_acts_as_the_chain_written_out(conditions, terms):
         "polarisation": (sky * (1 + u * sign) + lna) * s + rcu + adc,
         "time": (sky + u * rate + lna) * s + rcu + adc,
         "level": ((sky + lna) * s + rcu) * (1 + u * (total / total.mean(axis=1, keepdims=True) - 1)) + adc,
+        "Sun": (sky + u * at_55 * conditions.sun_response + lna) * s + rcu + adc,
+        **{name: (sky * conditions.sky_ratio[name](u) + lna) * s + rcu + adc for name in SOURCE_KEYS},
     }
     assert set(expected) == set(PLACES)
     for place, power in expected.items():
         found = SENTENCE.apply(terms, conditions, sentence(place, law, course), 0.07).power()
         np.testing.assert_allclose(found, np.broadcast_to(power, found.shape), rtol=1e-9)
+
+
+def test_sources_are_no_places_where_no_model_says_how_they_are_received(conditions, terms):
+    blind = replace(conditions, sky_ratio={}, sun_response=None)
+    assert {name for name, place in PLACES.items() if not place.is_there(blind)} == {"Sun", *SOURCE_KEYS}
+    assert all(place.is_there(conditions) for place in PLACES.values())
+    for place in ("Sun", "Cas A"):
+        with pytest.raises(BadInputError, match=f"sentence: {place}: expected channels that"):
+            SENTENCE.apply(terms, blind, sentence(place, ("flat",), ("always",)), 0.1)
 
 
 @pytest.mark.parametrize("amount", [0.0, np.zeros((200, 1))])
