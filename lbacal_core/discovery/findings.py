@@ -257,10 +257,10 @@ def _compare(found: Sequence[Candidate], sentences: Sequence[tuple[Hypothesis, f
 
 def _gain_beyond_chance(score: Score) -> float:
     """Gain in chi^2 beyond chance, as of a sentence."""
-    return score.z**2 - _chance_of(score)
+    return score.z**2 - chance_of(score)
 
 
-def _chance_of(score: Score) -> float:
+def chance_of(score: Score) -> float:
     """Gain in chi^2 that the best of all templates, targets and causes has by chance."""
     return 2.0 * float(np.log(score.trials * score.causes))
 
@@ -283,7 +283,7 @@ def _fit(before: FittedModel, score: Score, policy: Policy) -> Candidate | None:
         return None
     model, over_noise = fitted
     gain = gain_in_chi_squared(before, model) + over_noise + hypothesis.over_templates
-    return Candidate(score, model, gain - _chance_of(score))
+    return Candidate(score, model, gain - chance_of(score))
 
 
 def chi_squared_of(before: FittedModel, after: FittedModel) -> tuple[float, float, int]:

@@ -22,7 +22,15 @@ from lbacal_core.discovery.adopted import FittedSize, fit_adopted
 from lbacal_core.discovery.antennas import AntennaScore, compare_antennas, compare_cable_names, why_no_comparison
 from lbacal_core.discovery.baseline import leave_out_deaf, select_paths
 from lbacal_core.discovery.describe import Description, describe_structure
-from lbacal_core.discovery.findings import Finding, Grown, StationSearch, gain_in_chi_squared, grow_by, grow_findings
+from lbacal_core.discovery.findings import (
+    Finding,
+    Grown,
+    StationSearch,
+    chance_of,
+    gain_in_chi_squared,
+    grow_by,
+    grow_findings,
+)
 from lbacal_core.discovery.hypothesis import Hypothesis, Target, list_targets, p_of
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
@@ -200,6 +208,11 @@ def put_into_words(report: StationReport, seed: int = 0) -> StationReport:
     targets = list_targets(report.station)
     also = report.significant, report.said
     description = describe_structure(left, report.structure, targets, report.policy, seed, *also)
+    if report.findings:
+        alone = describe_structure(report.first, report.structure, targets, report.policy, seed, *also)
+        if _is_likelier(alone, description, report):
+            similar = [*report.similar, *report.findings]
+            report, description = replace(report, findings=[], similar=similar), alone
     rest = None if report.rest is None else put_into_words(report.rest, seed)
     parts = [description] if rest is None else [description, rest.description]
     whole = {target.label: target for target in targets}
@@ -210,6 +223,22 @@ def put_into_words(report: StationReport, seed: int = 0) -> StationReport:
     if len(seen) < len(report.findings):  # what was left beside a name that goes is not the structure
         return put_into_words(replace(report, findings=seen, similar=similar), seed)
     return replace(report, description=description, rest=rest)
+
+
+def _is_likelier(alone: Description, beside: Description, report: StationReport) -> bool:
+    """Whether a sentence by itself is likelier by far than the findings with the sentence that is said beside them.
+
+    A gain that follows temperature since a date is a step in autumn and a square of temperature as well.
+    """
+    if not alone.sentences:
+        return False
+    one, others = alone.sentences[0], beside.sentences[:1]
+    findings = [finding.hypothesis for finding in report.findings]
+    by_itself = _with(report.first, [one.hypothesis])
+    together = _with(report.first, [*findings, *(other.hypothesis for other in others)])
+    length = sum(chance_of(finding.score) for finding in report.findings) + sum(other.length for other in others)
+    gain = gain_in_chi_squared(by_itself, together) - (length - one.length)
+    return gain < -2.0 * report.policy.likelier
 
 
 def _adds_beside(finding: Finding, sentences: Sequence[Hypothesis], report: StationReport) -> bool:

@@ -7,6 +7,7 @@ import pytest
 from lbacal_core.causes.axes import axis_named
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import Template
+from lbacal_core.causes.grammar import parts_of
 from lbacal_core.causes.model import AdoptedCause, Model
 from lbacal_core.discovery import search
 from lbacal_core.discovery.describe import Description
@@ -19,6 +20,7 @@ from lbacal_core.discovery.residual_structure import ResidualStructure
 from lbacal_core.discovery.search import _lives_there, _seen_beside, _standing, search_station
 from lbacal_core.discovery.station import gather_stations
 from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.faults.composed import Composed
 from lbacal_twin.faults.fault import Where
 from lbacal_twin.faults.hardware import GainStep, GainTemperature
 from lbacal_twin.faults.sky import DipoleAzimuth, LstOffset, RfiBroadband
@@ -142,9 +144,26 @@ def test_structure_is_described_again_without_a_name_that_its_sentence_takes_bac
     monkeypatch.setattr(search, "list_targets", lambda _: [station])
     monkeypatch.setattr(search, "describe_structure", lambda left, *_: Description([said], remains=left))
     monkeypatch.setattr(search, "_adds_beside", lambda finding, *_: finding is stands)
+    monkeypatch.setattr(search, "_is_likelier", lambda *_: False)
     report = search.put_into_words(Put([goes, stands]))
     assert (report.findings, report.similar) == ([stands], [goes])
     assert report.description.remains == ["stands"], "the model without the other"
+
+
+@pytest.mark.long
+def test_a_name_goes_that_describes_a_part_of_what_one_sentence_describes(chain, sky, simulation):
+    """What follows temperature since a date was a step in autumn, and a square of temperature beside it."""
+    courses = (("warm", (10.0, 10.0)), ("spell", (0.6, 145.0)))
+    fault = Composed(size=0.05, place="gain", law=("level", ()), courses=courses)
+    spectra = simulate_campaign(SETTINGS, chain, sky, np.random.default_rng(SEED), [fault]).spectra
+    before = search_station(gather_stations(spectra, simulation)[0])
+    (step,) = before.findings
+    assert step.hypothesis.cause.identifier == "gain_step"
+    report = search.put_into_words(before)
+    assert (report.findings, report.similar) == ([], [step])
+    _, law, course = parts_of(report.description.sentences[0].hypothesis.template)
+    assert law == ("flat",)
+    assert (course[0], course[1][:3], course[2][0]) == ("product", ("column", "temperature_c", 1), "step")
 
 
 def finding_of(look, target):
