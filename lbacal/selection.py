@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 
 import h5py
@@ -13,6 +12,7 @@ import numpy as np
 from lbacal.instants import format_instant, parse_instant
 from lbacal_core.curves.validity import Instant
 from lbacal_core.errors import BadInputError, offer_name
+from lbacal_core.foreign import write_instant
 from lbacal_core.hdf5 import HDF5_FAILURES
 from lbacal_core.spectra.spectra import FORMAT, Spectra, join_spectra, read_spectra
 
@@ -102,15 +102,14 @@ def read_selected(
         if whole.left_out:
             tell(f"{file.name}: {whole.flagged_words}, left out")
         if len(whole):
-            seen.append((float(whole.time_unix.min()), float(whole.time_unix.max()), set(whole.station.tolist())))
+            seen.append((*whole.span_unix, set(whole.station.tolist())))
         chosen = selection.apply(whole)
         if len(chosen) or len(files) == 1:
             kept.append(chosen)
     if seen and not any(len(one) for one in kept):
-        first, last = (
-            f"{datetime.fromtimestamp(t, UTC):%Y-%m-%d}" for t in (min(s[0] for s in seen), max(s[1] for s in seen))
-        )
-        names = sorted(set().union(*(stations for *_, stations in seen)))
+        begins, ends, stations = zip(*seen, strict=True)
+        first, last = (write_instant(at)[:10] for at in (min(begins), max(ends)))
+        names = sorted(set().union(*stations))
         unknown = [offer_name(name, names) for name in selection.stations if name not in names]
         found = f"none{f' of {unknown[0]}' if unknown else ''}: there are {first} to {last} of {', '.join(names)}"
         raise BadInputError(f"spectra{selection.options}", "some", found)

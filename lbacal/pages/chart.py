@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lbacal_core.foreign import write_instant
 from lbacal_core.grids import Floats
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ class Chart:
                 values if values is not None and len(values) else None for values in (one.y, one.low, one.high)
             ]
             for k, x in enumerate(one.x):
-                at_x = _write_time(x) if self.scales[0] == "time" else _write(x)
+                at_x = write_instant(x) if self.scales[0] == "time" else _write(x)
                 rest = ("" if values is None else _write(values[k]) for values in columns_of_y)
                 lines.append(",".join([_quote(one.name), at_x, *rest]))
         return "\n".join(lines) + "\n"
@@ -154,10 +154,6 @@ def _quote(text: str) -> str:
 
 def _write(value: Any) -> str:
     return "" if value is None or not math.isfinite(value) else f"{float(value):.6g}"
-
-
-def _write_time(seconds: float) -> str:
-    return f"{datetime.fromtimestamp(float(seconds), UTC):%Y-%m-%dT%H:%M:%SZ}"
 
 
 def _positions(x: Any, *, is_time: bool) -> Any:

@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from typing import Any
 
-import numpy as np
 from jinja2 import ChoiceLoader, Environment, PackageLoader
 
 from lbacal.pages.finding import FILTERS
 from lbacal_core.errors import write_chance
+from lbacal_core.foreign import write_instant
 from lbacal_core.grids import Floats
 from lbacal_core.simulation.simulation import Simulation
 
@@ -36,8 +36,7 @@ def list_origin(
     stated = provenance or {}
     rows = {"file": file}
     if time_unix is not None and time_unix.size:
-        first, last = (np.datetime64(int(one), "s").item() for one in (time_unix.min(), time_unix.max()))
-        rows["dates"] = f"{first:%Y-%m-%d} to {last:%Y-%m-%d}"
+        rows["dates"] = " to ".join(write_instant(at)[:10] for at in (time_unix.min(), time_unix.max()))
     if simulation is not None:
         rows |= {
             "instrument": simulation.instrument.name,

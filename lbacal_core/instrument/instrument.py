@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from importlib.resources import files
 from pathlib import Path
 from types import MappingProxyType
@@ -15,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.errors import BadInputError, UnknownNameError, offer_name, require_name
-from lbacal_core.foreign import parse_name, parse_number, parse_numbers, parse_optional_name, read_json
+from lbacal_core.foreign import parse_name, parse_number, parse_numbers, parse_optional_name, read_json, write_instant
 from lbacal_core.grids import Floats, require_channels
 from lbacal_core.instrument.antennas import (
     ABSOLUTE,
@@ -242,7 +241,7 @@ class Instrument:
             if not any(record.covers(instant) for record in records):
                 raise BadInputError(
                     place,
-                    f"a cable on record in instrument {self.name} at {datetime.fromtimestamp(instant, UTC):%Y-%m-%d}",
+                    f"a cable on record in instrument {self.name} at {write_instant(instant)[:10]}",
                     "records of other dates only",
                 )
         held = [
