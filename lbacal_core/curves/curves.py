@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from lbacal_core.curves.covariance import Budget, CurveCovariance, parse_covariance
 from lbacal_core.curves.kept_lines import KeptLines
 from lbacal_core.curves.reference_chain import ReferenceChain
+from lbacal_core.errors import name_path
 from lbacal_core.grids import Floats
 from lbacal_core.provenance import Provenance, as_json, hash_arrays, with_arrays
 
@@ -331,10 +332,7 @@ class CalibrationCurve:
     @property
     def name(self) -> str:
         """The path, station or array in words: ``CS002 antenna 17 X``."""
-        parts = [self.station or "array"]
-        parts += [f"antenna {self.antenna}"] if self.antenna is not None else []
-        parts += [self.dipole] if self.dipole else []
-        return " ".join(parts)
+        return name_path(self.station, self.antenna, self.dipole)
 
     @property
     def owner(self) -> tuple[str | None, int | None]:
