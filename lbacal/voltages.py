@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,10 +16,6 @@ if TYPE_CHECKING:
     from astropy.table import QTable
 
     from lbacal_core.traces.voltage import CalibratedTrace
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from astropy.table import QTable
 
 
 def calibrate_trace(samples: Floats, sample_rate_mhz: float, effective: QTable) -> CalibratedTrace:
