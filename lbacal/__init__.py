@@ -36,14 +36,14 @@ _MODULES = {
 }
 ANALYSIS = {name: module for module, names in _MODULES.items() for name in names}
 """What needs the extra `fit`, by its name, with the module that is imported when it is asked for."""
-_EXTRA = ("healpy", "matplotlib", "scipy", "threadpoolctl")
+FIT = ("healpy", "jinja2", "matplotlib", "scipy", "threadpoolctl")  # what this extra installs, as it is imported
 
 
 def __getattr__(name: str) -> Any:
     """Import the part that fits when it is first used."""
     if name not in ANALYSIS:
         raise AttributeError(f"module 'lbacal' has no attribute {name!r}")
-    if not all(find_spec(module) for module in _EXTRA):
+    if not all(find_spec(module) for module in FIT):
         raise MissingExtraError(f"lbacal.{name}", "fit")
     return getattr(import_module(f"lbacal.{ANALYSIS[name]}"), name)
 

@@ -9,7 +9,7 @@ import sys
 import tomllib
 from pathlib import Path
 
-from lbacal.cli.main import FIT
+from lbacal import FIT
 
 PACKAGES = ("lbacal", "lbacal_core", "lbacal_paper", "lbacal_twin", "service", "validation", "migrations")
 

@@ -17,6 +17,7 @@ from typing import Annotated, Any
 import typer
 import typer.core
 
+from lbacal import FIT
 from lbacal.cli.analysis import audit, budget, fit, investigate, lst_curve, predict
 from lbacal.cli.calibration_tables import check_table, export
 from lbacal.cli.causes import causes
@@ -28,8 +29,6 @@ from lbacal.cli.spectra import import_, spectra
 from lbacal.settings import require_known_settings
 from lbacal_core.errors import BadInputError, LbacalError, MissingExtraError, UnknownNameError, UnreadableFileError
 
-FIT = ("healpy", "jinja2", "matplotlib", "scipy", "threadpoolctl")
-"""What the extra `fit` installs, by the names that are imported."""
 ADDED = {"server": ("serve", "scheduler", "worker", "db", "keys"), "paper": ("paper",)}
 """The commands that other wheels add, by the extra that installs them."""
 ENTRY_POINTS = "lbacal.commands"

@@ -17,6 +17,7 @@ import typer.main
 from typer.core import TyperGroup
 from typer.testing import CliRunner
 
+from lbacal import FIT
 from lbacal.cli import main as command
 from lbacal.cli.main import app
 from lbacal_core.errors import BadInputError, LbacalError, UnknownNameError, UnreadableFileError
@@ -156,7 +157,7 @@ def test_bad_usage_exits_with_2_without_a_traceback(arguments: list[str]) -> Non
 
 def test_a_client_without_the_extra_fit_starts() -> None:
     # every command of a client was a ModuleNotFoundError: what `lbacal fit` prints was imported with all of them
-    program = f"import sys\nsys.modules |= dict.fromkeys({(*command.FIT, 'erfa')!r})\nimport lbacal.cli.main"
+    program = f"import sys\nsys.modules |= dict.fromkeys({(*FIT, 'erfa')!r})\nimport lbacal.cli.main"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
 
