@@ -8,7 +8,6 @@ import os
 import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from datetime import UTC, datetime
 from functools import wraps
 from inspect import signature
 from itertools import islice
@@ -20,7 +19,8 @@ import numpy as np
 from lbacal import tables
 from lbacal.cache import Cache, Question, Snapshot, find_cache
 from lbacal.files import path_of
-from lbacal.instants import parse_instant
+from lbacal.instants import format_time, parse_instant
+from lbacal.selection import parse_selection
 from lbacal.transport import STUCK_S, TRIES, Transport, UnreachableError, files_of_events
 from lbacal_core.curves.galcal import make_head
 from lbacal_core.errors import BadInputError
@@ -109,13 +109,8 @@ class Client:
         """Bring what a tag holds, or a part of it, into `LBACAL_CACHE`; see `Cache.sync`."""
         if self._cache is None:
             raise BadInputError("LBACAL_CACHE", "a folder for the answers of the tag", "nothing")
-        first, last = (
-            None if end is None else parse_instant(name, format_time(end))
-            for name, end in (("since", since), ("until", until))
-        )
-        if first is not None and last is not None and first >= last:
-            raise BadInputError("since, until", "an end after the beginning", f"{since} to {until}")
-        return self._cache.sync(self, tag, on_step, only=stations, since=first, until=last)
+        part = parse_selection(since, until, None, stations, prefix="")
+        return self._cache.sync(self, tag, on_step, only=part.stations, since=part.since, until=part.until)
 
     def send(self, method: str, path: str, body: dict[str, Any], **params: Any) -> Any:
         """Send a JSON body, without fields that are None unless they are `calibration`; the JSON that comes back."""
@@ -283,18 +278,6 @@ def _asking(method: Callable[Concatenate[Client, P], R]) -> Callable[P, R]:
 
 
 effective, ingest, refit = _asking(Client.effective), _asking(Client.ingest), _asking(Client.refit)
-
-
-def format_time(instant: Any) -> str:
-    """ISO 8601 of an astropy Time, a datetime (naive = UTC) or text, which is sent as it is."""
-    if isinstance(instant, str):
-        return instant
-    if hasattr(instant, "utc") and hasattr(instant, "to_datetime"):
-        instant = instant.utc.to_datetime(timezone=UTC)
-    if not isinstance(instant, datetime):
-        raise BadInputError("at", "an astropy Time, a datetime or ISO 8601 text", repr(instant)[:80])
-    moment = instant if instant.tzinfo else instant.replace(tzinfo=UTC)
-    return moment.astimezone(UTC).isoformat().replace("+00:00", "Z")
 
 
 def make_table(answer: dict[str, Any]) -> CurveTable:

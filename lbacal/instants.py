@@ -6,6 +6,7 @@ import math
 import re
 import time
 from datetime import UTC, datetime, timedelta
+from typing import Any
 
 from lbacal_core.curves.validity import Instant
 from lbacal_core.errors import BadInputError
@@ -67,6 +68,18 @@ def parse_at(at: str | None, mjd: str | None) -> Instant:
     if (at is None) == (mjd is None):
         raise BadInputError("at", "either at (ISO 8601) or mjd", "neither" if at is None else "both")
     return parse_instant("at", at) if at is not None else parse_mjd("mjd", str(mjd))
+
+
+def format_time(instant: Any) -> str:
+    """ISO 8601 of an astropy Time, a datetime (naive = UTC) or text, which is sent as it is."""
+    if isinstance(instant, str):
+        return instant
+    if hasattr(instant, "utc") and hasattr(instant, "to_datetime"):
+        instant = instant.utc.to_datetime(timezone=UTC)
+    if not isinstance(instant, datetime):
+        raise BadInputError("at", "an astropy Time, a datetime or ISO 8601 text", repr(instant)[:80])
+    moment = instant if instant.tzinfo else instant.replace(tzinfo=UTC)
+    return moment.astimezone(UTC).isoformat().replace("+00:00", "Z")
 
 
 def format_instant(instant: Instant) -> str:

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 
-from lbacal.instants import format_instant, parse_instant
+from lbacal.instants import format_instant, format_time, parse_instant
 from lbacal_core.curves.validity import Instant
 from lbacal_core.errors import BadInputError, offer_name
 from lbacal_core.foreign import write_instant
@@ -48,13 +49,14 @@ class Selection:
 
 
 def parse_selection(
-    since: str | None, until: str | None, year: int | None, stations: Sequence[str] | None, prefix: str = "--"
+    since: Any, until: Any, year: int | None, stations: Sequence[str] | None, prefix: str = "--"
 ) -> Selection:
-    """Read the options of a selection, which a command writes with a prefix."""
+    """Read the options of a selection, which a command writes with a prefix; instants are those of `format_time`."""
     if year is not None and (since is not None or until is not None):
         raise BadInputError(f"{prefix}year", f"either {prefix}year or {prefix}since and {prefix}until", "both")
     if year is not None:
         since, until = f"{year:04d}-01-01", f"{year + 1:04d}-01-01"
+    since, until = (None if end is None else format_time(end) for end in (since, until))
     first, last = (
         None if text is None else parse_instant(option, text)
         for option, text in ((f"{prefix}since", since), (f"{prefix}until", until))

@@ -16,7 +16,7 @@ from astropy.table import QTable
 from lbacal.analysis.instrument import Described, core_of, simulation_of
 from lbacal.analysis.result import Result
 from lbacal.calibration_files import holds_curves, read_calibrations
-from lbacal.client import format_time, make_table
+from lbacal.client import make_table
 from lbacal.curve_table import CurveTable
 from lbacal.files import path_of
 from lbacal.pages.chart import BAND, COLOURS, LINE, Chart, Series
@@ -160,8 +160,7 @@ def read(
         if since is not None or until is not None or stations:
             raise BadInputError("since, until, stations", "spectra beside them", f"the curves of {paths[0]}")
         return make_table(read_calibrations(paths[0]))
-    first, last = (None if at is None else format_time(at) for at in (since, until))
-    selection = parse_selection(first, last, None, [stations] if isinstance(stations, str) else stations, prefix="")
+    selection = parse_selection(since, until, None, [stations] if isinstance(stations, str) else stations, prefix="")
     return BackgroundSpectra.of(read_selected(find_spectra_files(paths), selection, time.time(), tell))
 
 

@@ -17,9 +17,9 @@ from astropy.table import QTable
 from lbacal.analysis.fit import Calibration
 from lbacal.analysis.instrument import Described, simulation_of
 from lbacal.analysis.result import Result
-from lbacal.client import Client, format_time
+from lbacal.client import Client
 from lbacal.curve_table import SHOWN_NAMES
-from lbacal.instants import format_instant, parse_instant
+from lbacal.instants import format_instant, format_time, parse_instant
 from lbacal.pages.chart import BAND, LINE, Chart, Series
 from lbacal.pages.curves import FREQUENCY
 from lbacal.units import convert_number, make_rng
