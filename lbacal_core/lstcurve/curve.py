@@ -21,7 +21,7 @@ from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.linear import fit_least_squares
 from lbacal_core.provenance import Provenance, hash_arrays
 from lbacal_core.sky.power import vary_sky_power
-from lbacal_core.sky.table import SkyPower
+from lbacal_core.sky.table import SkyPower, harmonics_at
 
 COLUMNS = ("lst_h", "x_db", "y_db", "error_db")
 CENTRE_LINE = "# lst: centre"
@@ -166,37 +166,34 @@ class PointNoise:
 
 def estimate_noise(curve: LstCurve, harmonics: int = SMOOTH_HARMONICS) -> PointNoise:
     """Estimate the noise of both dipoles and what they share."""
-    left = {dipole: _about_smooth(curve, dipole, harmonics) for dipole in DIPOLES}
-    free = {dipole: int(curve.has_point(dipole).sum()) - 1 - 2 * harmonics for dipole in DIPOLES}
-    if min(free.values()) < FEWEST_FREE:
+    left, free = zip(*(_about_smooth(curve, dipole, harmonics) for dipole in DIPOLES), strict=True)
+    if min(free) < FEWEST_FREE:
         needed = f"{1 + 2 * harmonics + FEWEST_FREE} points or more a dipole to estimate their noise"
-        raise BadInputError(curve.origin, needed, f"{min(free.values()) + 1 + 2 * harmonics}")
-    sigma = {dipole: float(np.sqrt(np.nansum(left[dipole] ** 2) / free[dipole])) for dipole in DIPOLES}
-    both = np.isfinite(left["X"]) & np.isfinite(left["Y"])
-    x, y = left["X"][both], left["Y"][both]
+        raise BadInputError(curve.origin, needed, f"{min(free) + 1 + 2 * harmonics}")
+    x, y = (one[np.isfinite(left).all(axis=0)] for one in left)
     correlation = float(x @ y / np.sqrt((x @ x) * (y @ y)))
     limited = float(np.clip(correlation, -LARGEST_CORRELATION, LARGEST_CORRELATION))
-    return PointNoise(sigma, limited, sum(free.values()))
+    return PointNoise(dict(zip(DIPOLES, map(_scatter, left, free), strict=True)), limited, sum(free))
 
 
 def estimate_point_noise(curve: LstCurve, dipole: str) -> float | None:
     """Scatter of the points of one dipole about a smooth curve, dB; None with too few points."""
-    free = int(curve.has_point(dipole).sum()) - 1 - 2 * SMOOTH_HARMONICS
-    if free < FEWEST_FREE:
-        return None
-    left = _about_smooth(curve, dipole, SMOOTH_HARMONICS)
-    return float(np.sqrt(np.nansum(left**2) / free))
+    left, free = _about_smooth(curve, dipole, SMOOTH_HARMONICS)
+    return None if free < FEWEST_FREE else _scatter(left, free)
 
 
-def _about_smooth(curve: LstCurve, dipole: str, harmonics: int) -> Floats:
-    """Measured minus the Fourier series that fits best, shape (point,), NaN where there is no point."""
+def _about_smooth(curve: LstCurve, dipole: str, harmonics: int) -> tuple[Floats, int]:
+    """Measured minus the Fourier series that fits best, shape (point,), NaN without a point; and degrees of freedom."""
     has_point = curve.has_point(dipole)
-    angle = 2 * np.pi / 24.0 * np.outer(curve.lst_hours[has_point], np.arange(1, harmonics + 1))
-    design = np.concatenate([np.ones((angle.shape[0], 1)), np.cos(angle), np.sin(angle)], axis=1)
+    design = harmonics_at(curve.lst_hours[has_point], harmonics)
     measured = curve.variation_db[dipole][has_point]
     left = np.full(curve.lst_hours.shape, np.nan)
     left[has_point] = measured - design @ fit_least_squares(design, measured)
-    return left
+    return left, len(design) - design.shape[1]
+
+
+def _scatter(left: Floats, free: int) -> float:
+    return float(np.sqrt(np.nansum(left**2) / free))
 
 
 # Measured LST curve against simulated sky power, with nothing fitted but a noise share and an offset a dipole.
