@@ -26,7 +26,7 @@ from lbacal_core.instrument.matching import power_per_kelvin_sr
 from lbacal_core.linear import root_of
 from lbacal_core.sky.antenna_of import antenna_of
 from lbacal_core.sky.model import DATA_EPOCH, SkyModel, precess_multipoles
-from lbacal_core.sky.modes import beam_multipoles, beam_on_equator
+from lbacal_core.sky.modes import beam_multipoles, beam_on_equator, sky_power_at
 from lbacal_core.sky.names import (
     BASE_SKY,
     MEASURED_SKY,
@@ -54,9 +54,7 @@ def dipole_temperature(
     beam = beam_multipoles(antenna, frequency_mhz, sky.lmax)
     seen = beam_on_equator(beam, arm, latitude_deg)
     modes = np.einsum("flm,flm->mf", precess_multipoles(extended_temperature(sky, frequency_mhz), DATA_EPOCH), seen)
-    order = np.arange(modes.shape[0])
-    phase = np.exp(1j * np.pi / 12.0 * np.outer(lst_hours, order)) * np.where(order == 0, 1.0, 2.0)
-    return np.asarray((phase @ modes).real / (np.sqrt(4 * np.pi) * beam[:, 0, 0].real))
+    return np.asarray(sky_power_at(modes, lst_hours) / (np.sqrt(4 * np.pi) * beam[:, 0, 0].real))
 
 
 def mean_temperature(sky: SkyModel, antenna: AntennaModel, frequency_mhz: Floats, latitude_deg: float) -> Floats:
