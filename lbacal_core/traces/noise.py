@@ -38,10 +38,7 @@ def draw_noise(
     if not inside.any():
         expected = f"so many samples that a bin lies between {edge[0]:g} and {edge[1]:g} MHz"
         raise BadInputError("samples, sample_rate_mhz", expected, f"{samples}, {sample_rate_mhz:g}")
-    at = np.clip(np.searchsorted(frequency_mhz, bins) - 1, 0, frequency_mhz.size - 2)
-    share = np.clip((bins - frequency_mhz[at]) / np.diff(frequency_mhz)[at], 0.0, 1.0)
-    level = np.log(power)
-    density = np.exp(level[:, at] * (1.0 - share) + level[:, at + 1] * share) * inside
+    density = np.exp([np.interp(bins, frequency_mhz, level) for level in np.log(power)]) * inside
     normal = rng.standard_normal((2, *density.shape))
     amplitude = (normal[0] + 1j * normal[1]) * np.sqrt(samples * sample_rate_mhz * RESISTANCE_OHM / 4.0 * density)
     return np.asarray(np.fft.irfft(amplitude, samples, axis=1))

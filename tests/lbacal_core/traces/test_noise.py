@@ -39,6 +39,12 @@ def test_the_mean_square_is_the_sum_over_channels_and_nothing_lies_outside() -> 
     assert spectrum[outside].max() < 1e-20 * spectrum.max()
 
 
+def test_noise_of_one_channel_has_its_power() -> None:
+    """It was an IndexError: between one centre and no other nothing could be interpolated."""
+    (noise,) = draw_noise(np.array([50.0]), np.array([[3.0]]), 1 << 20, 200.0, np.random.default_rng(2))
+    assert np.mean(noise**2) == pytest.approx(50.0 * 3.0, rel=0.05)
+
+
 def test_a_single_amplitude_is_that_of_the_convention() -> None:
     """Written out: a flat spectrum P has <|X|^2> = n f_s P R / 2, and its real and imaginary parts are independent."""
     noise = draw_noise(np.array([30.0, 60.0]), np.full((20_000, 2), 3.0), 8, 200.0, np.random.default_rng(5))
