@@ -450,13 +450,10 @@ def write_spectra(spectra: Spectra, file: Path | IO[bytes]) -> None:
         opened.attrs.update({f"{_ARM}{letter}": azimuth for letter, azimuth in spectra.arms_deg.items()})
         opened["frequency_mhz"] = spectra.frequency_mhz
         opened["power"] = spectra.power
-        for name in _COLUMNS:
-            values = getattr(spectra, name)
-            # texts of one length: ten times as fast to write and read as texts that each have their own
-            opened[name] = np.char.encode(values, "utf-8") if values.dtype.kind == "U" else values
-        for name in _OPTIONAL:
+        for name in (*_COLUMNS, *_OPTIONAL):
             values = getattr(spectra, name)
             if values is not None:
+                # texts of one length: ten times as fast to write and read as texts that each have their own
                 opened[name] = np.char.encode(values, "utf-8") if values.dtype.kind == "U" else values
         for name, values in spectra.environment.items():
             opened[f"env/{name}"] = values
@@ -516,7 +513,7 @@ def _without_repetitions(parts: Sequence[Spectra]) -> list[Spectra]:
     """The parts without the rows that an earlier one has."""
     sizes = [len(part) for part in parts]
     keys = np.zeros(sum(sizes), dtype=np.int64)
-    for name in ("station", "antenna", "dipole", "event_id"):
+    for name in _KEY:
         found, codes = np.unique(np.concatenate([getattr(part, name) for part in parts]), return_inverse=True)
         keys = keys * found.size + codes
     order = np.argsort(keys, kind="stable")
