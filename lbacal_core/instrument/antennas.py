@@ -106,9 +106,10 @@ class AntennaRecord:
     until: float | None = None
     group: str | None = None
 
-    def covers(self, time_unix: float) -> bool:
-        """Whether the record holds at an instant."""
-        return (self.since is None or self.since <= time_unix) and (self.until is None or time_unix < self.until)
+    def covers(self, first_unix: float, last_unix: float | None = None) -> bool:
+        """Whether the record holds at an instant, or at one of those from it to another."""
+        last = first_unix if last_unix is None else last_unix
+        return (self.since is None or self.since <= last) and (self.until is None or first_unix < self.until)
 
 
 def require_one_at_a_time(records: Sequence[AntennaRecord], place: str) -> None:

@@ -244,21 +244,14 @@ class Instrument:
                     f"a cable on record in instrument {self.name} at {write_instant(instant)[:10]}",
                     "records of other dates only",
                 )
-        held = [
-            r
-            for r in records
-            if (r.since is None or r.since <= last_unix) and (r.until is None or first_unix < r.until)
-        ]
-        return list(dict.fromkeys(record.cable for record in held))
+        return list(dict.fromkeys(record.cable for record in records if record.covers(first_unix, last_unix)))
 
     def group_between(self, station: str, antenna: int, first_unix: float, last_unix: float) -> str | None:
         """Name of the group of an antenna from one instant to another; None where it has none, or changes it."""
         held = {
             record.group
             for record in self.antennas
-            if (record.station, record.antenna) == (station, antenna)
-            and (record.since is None or record.since <= last_unix)
-            and (record.until is None or first_unix < record.until)
+            if (record.station, record.antenna) == (station, antenna) and record.covers(first_unix, last_unix)
         }
         return held.pop() if len(held) == 1 else None
 
