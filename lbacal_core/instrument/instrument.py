@@ -157,10 +157,7 @@ class Instrument:
     def at_station(self, station: str | None) -> Instrument:
         """The instrument standing where a station of it stands; itself where the station has no site of its own."""
         site = None if station is None else self.sites.get(station)
-        if site is None:
-            return self
-        north, east, height = site.latitude_deg, site.longitude_deg, site.height_m
-        return replace(self, sites={}, latitude_deg=north, longitude_deg=east, height_m=height)
+        return self if site is None else replace(self, sites={}, **vars(site))
 
     def require_dipoles(
         self, letters: NDArray[np.str_], origin: str, arms_deg: Mapping[str, float] = MappingProxyType({})
@@ -335,11 +332,8 @@ class Instrument:
     @property
     def antenna_gain_note(self) -> str:
         """The origin of the antenna gain, in words."""
-        return (
-            "unchecked: the instrument does not say what its antenna_gain is"
-            if self.gain_provenance is None
-            else (str(self.gain_provenance))
-        )
+        unchecked = "unchecked: the instrument does not say what its antenna_gain is"
+        return unchecked if self.gain_provenance is None else str(self.gain_provenance)
 
 
 def find_instrument(name_or_file: str) -> Path:
