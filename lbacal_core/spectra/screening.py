@@ -12,6 +12,7 @@ leaves out events with anomalous power too (section 3.1 of Mulrey et al. 2019).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +62,7 @@ _CLIP = 3.0
 _LARGEST_LOGARITHM = 700.0
 _CHANNELS_OF_LEVEL = 10
 _MAD_TO_SIGMA = 1.482602218505602
+Number = TypeVar("Number", np.float32, np.float64)
 
 
 @dataclass(frozen=True)
@@ -129,7 +131,7 @@ def _find_dead(block: SpectraBlock) -> NDArray[np.bool_]:
     """
     level = np.where(block.is_present, measure_level(block.power), np.nan)
     is_judged = block.is_present.sum(axis=1) >= FEWEST_EVENTS
-    return np.asarray((np.nan_to_num(level - _median(level)[:, None]) < DEAD) & is_judged[:, None])
+    return np.asarray((np.nan_to_num(level - median_over(level, 1)[:, None]) < DEAD) & is_judged[:, None])
 
 
 def measure_level(power: Floats) -> Floats:
@@ -260,7 +262,7 @@ def predict_daily_variation(
     squares = (design[:, :, None] * design[:, None, :]).reshape(angle.size, -1)
     known = np.where(is_present, level, np.nan)
     predicted = np.zeros_like(level)
-    predicted[:] = np.nan_to_num(_median(known))[:, None]
+    predicted[:] = np.nan_to_num(median_over(known, 1))[:, None]
     for round_number in range(_ROUNDS):
         residual = level - predicted
         scale = np.maximum(robust_sigma(np.where(is_present, residual, np.nan)), 1e-6)[:, None]
@@ -274,14 +276,17 @@ def predict_daily_variation(
 
 def robust_sigma(values: Floats) -> Floats:
     """1.48 times the median absolute deviation of each row, NaN left out, shape (path,); 0 for a row of NaN."""
-    centred = np.abs(values - _median(values)[:, None])
-    return _MAD_TO_SIGMA * np.nan_to_num(_median(centred))
+    centred = np.abs(values - median_over(values, 1)[:, None])
+    return np.asarray(_MAD_TO_SIGMA * np.nan_to_num(median_over(centred, 1)))
 
 
-def _median(values: Floats) -> Floats:
-    """Median of each row, NaN left out; NaN for a row of NaN."""
-    ordered = np.sort(values, axis=1)  # NaN last
-    count = np.isfinite(values).sum(axis=1)
-    upper, lower = np.maximum(count // 2, 0), np.maximum((count - 1) // 2, 0)
-    rows = np.arange(len(values))
-    return np.asarray((ordered[rows, np.minimum(upper, values.shape[1] - 1)] + ordered[rows, lower]) / 2.0)
+def median_over(values: NDArray[Number], axis: int) -> NDArray[Number]:
+    """Median of the known values along an axis, which the shape loses, NaN where there is none.
+
+    Some times faster than `nanmedian`.
+    """
+    ordered = np.sort(np.moveaxis(values, axis, -1), axis=-1)  # NaN last
+    count = np.isfinite(ordered).sum(axis=-1, keepdims=True)
+    upper, lower = np.minimum(count // 2, values.shape[axis] - 1), np.maximum((count - 1) // 2, 0)
+    pair = np.take_along_axis(ordered, np.concatenate([lower, upper], axis=-1), axis=-1)
+    return np.asarray(np.where(count[..., 0] > 0, pair.mean(axis=-1), np.nan), dtype=values.dtype)

@@ -5,7 +5,15 @@ import pytest
 
 from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.spectra.blocks import SpectraBlock
-from lbacal_core.spectra.screening import CUT_SIGMA, FEWEST_EVENTS, LASTING_EVENTS, Screened, find_lasting, screen_block
+from lbacal_core.spectra.screening import (
+    CUT_SIGMA,
+    FEWEST_EVENTS,
+    LASTING_EVENTS,
+    Screened,
+    find_lasting,
+    median_over,
+    screen_block,
+)
 
 LONGITUDE = 6.87
 PATHS, EVENTS, CHANNELS = 4, 400, 51
@@ -196,3 +204,11 @@ def test_a_level_lasts_that_the_newest_or_the_oldest_events_have(came: str, last
     found = find_lasting(np.array([one == "x" for one in came]))
     assert found.sum() == lasting
     assert not np.any(found & np.array([one == "." for one in came]))
+
+
+def test_the_median_is_that_of_the_known_values():
+    rng = np.random.default_rng(1)
+    values = rng.standard_normal((7, 40, 3)).astype(np.float32)
+    values[rng.uniform(size=(7, 40)) < 0.2] = np.nan
+    assert median_over(values, axis=0) == pytest.approx(np.nanmedian(values, axis=0), nan_ok=True)
+    assert median_over(values, axis=1) == pytest.approx(np.nanmedian(values, axis=1), nan_ok=True)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.calibration.slow_changes import YEAR_S
-from lbacal_core.drift.model import Series, SeriesModel, median_of_members, median_over
+from lbacal_core.drift.model import Series, SeriesModel, median_of_members
 from lbacal_core.drift.search import FALSE_ALARMS, Found, search_series
 
 DAY = 86_400.0
@@ -208,14 +208,6 @@ def test_the_model_of_some_series_is_that_of_all():
     assert other.predict(other.all) == pytest.approx(one.predict(one.all))
     assert other.result.theta == pytest.approx(one.result.theta)
     assert one.scores(np.array([1, 4]))[0] == pytest.approx(one.scores(one.all)[0][[1, 4]])
-
-
-def test_the_median_is_that_of_the_known_values():
-    rng = np.random.default_rng(1)
-    values = rng.standard_normal((7, 40, 3)).astype(np.float32)
-    values[rng.uniform(size=(7, 40)) < 0.2] = np.nan
-    assert median_over(values, axis=0) == pytest.approx(np.nanmedian(values, axis=0), nan_ok=True)
-    assert median_over(values, axis=1) == pytest.approx(np.nanmedian(values, axis=1), nan_ok=True)
 
 
 @pytest.mark.parametrize("members", [3, 4, 5, 8, 9])
