@@ -12,7 +12,7 @@ import numpy as np
 from astropy import units as u
 from numpy.typing import NDArray
 
-from lbacal.units import convert_number, convert_numbers, refuse_unit
+from lbacal.units import convert_number, convert_numbers
 from lbacal_core.errors import BadInputError, require_kind
 from lbacal_core.grids import Floats, interpolate
 from lbacal_core.instrument.matching import (
@@ -25,7 +25,7 @@ from lbacal_core.instrument.matching import (
     require_passive,
     turn_reflection,
 )
-from lbacal_core.instrument.stages import FREE, gain_behind, read_touchstone_gain, require_chain
+from lbacal_core.instrument.stages import FREE, gain_behind, interpolate_gain, read_touchstone_gain, require_chain
 from lbacal_core.instrument.stages import Stage as CoreStage
 
 T = TypeVar("T", np.float64, np.complex128)
@@ -137,7 +137,7 @@ def convert_gain(gain: Any, frequency_mhz: Floats, largest: float = np.inf) -> F
 def _convert_gain(gain: Any, frequency_mhz: Floats) -> Floats:
     if isinstance(gain, str | Path):
         return read_touchstone_gain(Path(gain), frequency_mhz)
-    return _spread(gain, _linear, frequency_mhz, "chain: gain", _interpolate_gain)
+    return _spread(gain, _linear, frequency_mhz, "chain: gain", interpolate_gain)
 
 
 def mismatch(antenna: Any, load: Any = 50.0, off: complex = 0.0) -> Callable[[Floats], Floats]:
@@ -221,14 +221,8 @@ def _impedance(given: Any, frequency_mhz: Floats, name: str) -> Impedance:
     place = f"chain: impedance of {name}"
     if isinstance(given, str | Path):
         return read_impedance(Path(given), frequency_mhz)
-    return require_passive(_spread(given, _ohm, frequency_mhz, place, interpolate_impedance), place)
-
-
-def _ohm(given: Any) -> Impedance:
-    try:
-        return np.asarray(u.Quantity(given, u.ohm).value, dtype=complex)
-    except (u.UnitsError, TypeError, ValueError) as error:
-        raise refuse_unit(given, u.ohm) from error
+    read = partial(convert_numbers, unit=u.ohm, kind=complex)
+    return require_passive(_spread(given, read, frequency_mhz, place, interpolate_impedance), place)
 
 
 def _spread(
@@ -246,11 +240,6 @@ def _spread(
 def spread_numbers(given: Any, unit: u.UnitBase, frequency_mhz: Floats, place: str) -> Floats:
     """Numbers in a unit on the channels, shape (freq,)."""
     return _spread(given, partial(convert_numbers, unit=unit), frequency_mhz, place, interpolate)
-
-
-def _interpolate_gain(nu: Floats, gain: Floats, frequency_mhz: Floats, place: str) -> Floats:
-    """A table of gains on the channels, linear in dB."""
-    return np.exp(interpolate(nu, np.log(gain), frequency_mhz, place))
 
 
 def _linear(gain: Any) -> Floats:

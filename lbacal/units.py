@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from astropy import units as u
 from astropy.coordinates import Angle
+from numpy.typing import NDArray
 
 from lbacal_core.errors import BadInputError
-from lbacal_core.grids import Floats
 
 
 def convert_number(value: Any, unit: u.UnitBase) -> float:
@@ -19,15 +19,15 @@ def convert_number(value: Any, unit: u.UnitBase) -> float:
         given = given if isinstance(given, u.Quantity) else u.Quantity(given, unit)
         return float(given.to_value(unit, u.temperature()))
     except (u.UnitsError, TypeError, ValueError) as error:
-        raise refuse_unit(value, unit) from error
+        raise _refuse_unit(value, unit) from error
 
 
-def convert_numbers(value: Any, unit: u.UnitBase) -> Floats:
-    """Numbers in a unit, shape (number,)."""
+def convert_numbers(value: Any, unit: u.UnitBase, kind: type = float) -> NDArray[Any]:
+    """Numbers in a unit, shape (number,), real or complex."""
     try:
-        return np.atleast_1d(np.asarray(u.Quantity(value, unit).value, dtype=float))
+        return np.atleast_1d(np.asarray(u.Quantity(value, unit).value, dtype=kind))
     except (u.UnitsError, TypeError, ValueError) as error:
-        raise refuse_unit(value, unit) from error
+        raise _refuse_unit(value, unit) from error
 
 
 def convert_band(band: Any) -> tuple[float, float]:
@@ -44,6 +44,6 @@ def make_rng(seed: Any) -> np.random.Generator:
     return np.random.default_rng(int(seed))
 
 
-def refuse_unit(value: Any, unit: u.UnitBase) -> BadInputError:
+def _refuse_unit(value: Any, unit: u.UnitBase) -> BadInputError:
     """The error of a value that is no number in a unit."""
     return BadInputError("a quantity", f"one in {unit}, or a number, which is taken in it", repr(value))

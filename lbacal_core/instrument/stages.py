@@ -230,11 +230,17 @@ def _gain_of_table(given: Mapping[str, Any], frequency_mhz: Floats, place: str, 
     """What a load takes of an antenna's power, or a table of gains or decibels."""
     if set(given) == {"antenna", "load"}:
         return _match(given, frequency_mhz, place, folder)
-    table = {"frequency_mhz": given.get("frequency_mhz"), "value": given.get("gain_db", given.get("gain"))}
+    nu = parse_numbers(given.get("frequency_mhz"), f"{place}.frequency_mhz")
     if "gain_db" in given:
-        return np.asarray(10.0 ** (_on_channels(table, frequency_mhz, place) / 10.0))
-    table["value"] = np.log(_require_positive(parse_numbers(table["value"], f"{place}.gain"), place)).tolist()
-    return np.exp(_on_channels(table, frequency_mhz, place))
+        decibels = interpolate(nu, parse_numbers(given["gain_db"], place), frequency_mhz, place)
+        return np.asarray(10.0 ** (decibels / 10.0))
+    gain = _require_positive(parse_numbers(given.get("gain"), f"{place}.gain"), place)
+    return interpolate_gain(nu, gain, frequency_mhz, place)
+
+
+def interpolate_gain(nu: Floats, gain: Floats, frequency_mhz: Floats, place: str) -> Floats:
+    """Gains of a table on the channels, shape (freq,), between its rows linear in dB."""
+    return np.exp(interpolate(nu, np.log(gain), frequency_mhz, place))
 
 
 def _noise(given: Any, frequency_mhz: Floats, place: str) -> Floats:
@@ -274,7 +280,7 @@ def read_touchstone_gain(path: Path, frequency_mhz: Floats) -> Floats:
     is_antenna = s.shape[-1] == 1
     share = 1.0 - np.abs(s[:, 0, 0]) ** 2 if is_antenna else np.abs(s[:, 1, 0]) ** 2
     gain = _require_positive(share, f"{path}: {'1 - |S11|^2' if is_antenna else 'S21'}")
-    return np.exp(interpolate(nu, np.log(gain), frequency_mhz, str(path)))
+    return interpolate_gain(nu, gain, frequency_mhz, str(path))
 
 
 def _match(given: Mapping[str, Any], frequency_mhz: Floats, place: str, folder: Path | None) -> Floats:
