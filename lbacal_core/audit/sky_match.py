@@ -158,8 +158,8 @@ class SkyMatch:
         """
         if not self.is_long_enough() or rows.size == 0:
             return 0.0
-        likelihood = AnyReceiver(make_series(self.station, rows), rows.size)
-        seen = self.models.seen(likelihood.series.lst_hours, self.instrument.latitude_deg)
+        likelihood = self._likelihood(self.station, rows)
+        seen = self._seen(likelihood)
         return likelihood.log_likelihood(_exchanged(seen)) - likelihood.log_likelihood(seen)
 
     def tell(self, rows: NDArray[np.int64]) -> list[Line]:
@@ -169,17 +169,17 @@ class SkyMatch:
             return []
         if not self.is_long_enough():
             return self._say_too_short("clock", "arms", "unit")
-        likelihood = AnyReceiver(make_series(station, rows), rows.size)
-        latitude, longitude = self.instrument.latitude_deg, self.instrument.longitude_deg
-        seen = self.models.seen(likelihood.series.lst_hours, latitude)
+        likelihood = self._likelihood(station, rows)
+        seen = self._seen(likelihood)
         base = likelihood.log_likelihood(seen)
         units = _try_units(station, rows, self.instrument, base, likelihood.share(seen))
         if station.hours < SKY_HOURS:  # one departure of the sky from its models is all that they show
             return [*self._say_too_short("clock", "arms"), *conclude(station.name, base, units, station.hours)]
+        arms = (None, *station.dipoles) if len(station.dipoles) > 1 else (None,)
         possibilities = [
-            _scan_clock(likelihood, self.models, latitude),
-            *(_scan_arms(likelihood, self.models, latitude, arm) for arm in _arms_of(station)),
-            *_try_places(likelihood, self.models, latitude, longitude),
+            self._scan_clock(likelihood),
+            *(self._scan_arms(likelihood, arm) for arm in arms),
+            *self._try_places(likelihood),
             *units,
         ]
         if len(station.dipoles) == PAIR:
@@ -191,8 +191,7 @@ class SkyMatch:
 
     def _ask_months(self, rows: NDArray[np.int64]) -> list[Line]:
         """A clock that is off in months on end, where all others agree with the record; else nothing."""
-        times, latitude = self.station.time_unix, self.instrument.latitude_deg
-        month = times.astype("datetime64[s]").astype("datetime64[M]")
+        month = self.station.time_unix.astype("datetime64[s]").astype("datetime64[M]")
         is_off = np.zeros(month.shape, dtype=bool)
         for one in np.unique(month):
             if self.station.at(month == one).hours >= WHOLE_HOURS and np.any(month != one):
@@ -200,8 +199,8 @@ class SkyMatch:
         off = np.flatnonzero(is_off)
         if off.size == 0 or np.ptp(off) >= off.size or self.station.at(~is_off).hours < WHOLE_HOURS:
             return []
-        likelihood, rest = self._likelihood(is_off, rows), self._likelihood(~is_off, rows)
-        clock = _scan_clock(likelihood, self.models, latitude)
+        likelihood, rest = (self._likelihood(self.station.at(part), rows) for part in (is_off, ~is_off))
+        clock = self._scan_clock(likelihood)
         gain = clock.log_likelihood - likelihood.log_likelihood(self._seen(likelihood))
         if gain < LEAST_GAIN or not (clock.fits and rest.fits(self._seen(rest))):
             return []
@@ -217,15 +216,40 @@ class SkyMatch:
 
     def _may_be_off(self, instants: NDArray[np.bool_], rows: NDArray[np.int64]) -> bool:
         """Whether some instants are likelier with another clock, among a few."""
-        one = self._likelihood(instants, rows)
+        one = self._likelihood(self.station.at(instants), rows)
         others = (one.log_likelihood(self._seen(one, hours)) for hours in FEW_CLOCKS)
         return max(others) - one.log_likelihood(self._seen(one)) >= LEAST_GAIN
 
-    def _likelihood(self, instants: NDArray[np.bool_], rows: NDArray[np.int64]) -> AnyReceiver:
-        return AnyReceiver(make_series(self.station.at(instants), rows), rows.size)
+    def _likelihood(self, station: AuditedStation, rows: NDArray[np.int64]) -> AnyReceiver:
+        return AnyReceiver(make_series(station, rows), rows.size)
 
-    def _seen(self, likelihood: AnyReceiver, hours: float = 0.0) -> Seen:
-        return self.models.seen(likelihood.series.lst_hours + hours, self.instrument.latitude_deg)
+    def _seen(
+        self, likelihood: AnyReceiver, hours: float = 0.0, turned_deg: float = 0.0, arm: str | None = None
+    ) -> Seen:
+        latitude = self.instrument.latitude_deg
+        return self.models.seen(likelihood.series.lst_hours + hours, latitude, turned_deg, arm)
+
+    def _scan_clock(self, likelihood: AnyReceiver) -> Possibility:
+        hours = np.arange(-CLOCK_RANGE / 2, CLOCK_RANGE / 2, CLOCK_STEP)
+        return _weigh("clock", likelihood, lambda shift: self._seen(likelihood, shift), hours, CLOCK_FINE)
+
+    def _scan_arms(self, likelihood: AnyReceiver, arm: str | None) -> Possibility:
+        """All arms together, None, or one of several alone."""
+        angles = np.arange(-ARMS_RANGE / 2, ARMS_RANGE / 2, ARMS_STEP)
+        turned = _weigh("arms", likelihood, lambda angle: self._seen(likelihood, 0.0, angle, arm), angles, ARMS_FINE)
+        return replace(turned, kind="arms" if arm is None else "arm", dipole=arm)
+
+    def _try_places(self, likelihood: AnyReceiver) -> list[Possibility]:
+        lst, latitude, longitude = (
+            likelihood.series.lst_hours, self.instrument.latitude_deg, self.instrument.longitude_deg,
+        )  # fmt: skip
+        shifts = {"latitude sign": (0.0, -latitude), "longitude sign": (-2 * longitude / 15, latitude)}
+        if abs(longitude) <= NORTH_POLE_DEG:
+            shifts["latitude for longitude"] = ((latitude - longitude) / 15, longitude)
+        return [
+            _possible(kind, likelihood, self.models.seen(lst + shift, place), (shift + 12.0) % 24.0 - 12.0)
+            for kind, (shift, place) in shifts.items()
+        ]
 
     def _ask_summer(self, clock: Line, rows: NDArray[np.int64]) -> Line:
         """A clock that is wrong; with those of summer and winter time where an hour lies between them."""
@@ -233,9 +257,7 @@ class SkyMatch:
         halves = [self.station.at(is_summer), self.station.at(~is_summer)]
         if len(set(is_summer.tolist())) == 1 or any(half.hours < WHOLE_HOURS for half in halves):
             return clock
-        likelihoods = [AnyReceiver(make_series(half, rows), rows.size) for half in halves]
-        found = [_scan_clock(one, self.models, self.instrument.latitude_deg) for one in likelihoods]
-        return tell_summer(clock, *found)
+        return tell_summer(clock, *(self._scan_clock(self._likelihood(half, rows)) for half in halves))
 
 
 def tell_unit(station: AuditedStation, rows: NDArray[np.int64], instrument: Instrument) -> list[Line]:
@@ -292,35 +314,6 @@ def _weigh(
     width = min(1.0, sigma * (2 * np.pi) ** 0.5 / period)
     size = (value + period / 2) % period - period / 2
     return Possibility(kind, best + float(np.log(width)), size, sigma, likelihood.fits(seen(value)))
-
-
-def _scan_clock(likelihood: AnyReceiver, models: SkyModels, latitude: float) -> Possibility:
-    lst = likelihood.series.lst_hours
-    hours = np.arange(-CLOCK_RANGE / 2, CLOCK_RANGE / 2, CLOCK_STEP)
-    return _weigh("clock", likelihood, lambda shift: models.seen(lst + shift, latitude), hours, CLOCK_FINE)
-
-
-def _arms_of(station: AuditedStation) -> tuple[str | None, ...]:
-    """All arms together, None, and each of several alone."""
-    return (None, *station.dipoles) if len(station.dipoles) > 1 else (None,)
-
-
-def _scan_arms(likelihood: AnyReceiver, models: SkyModels, latitude: float, arm: str | None) -> Possibility:
-    lst = likelihood.series.lst_hours
-    angles = np.arange(-ARMS_RANGE / 2, ARMS_RANGE / 2, ARMS_STEP)
-    turned = _weigh("arms", likelihood, lambda angle: models.seen(lst, latitude, angle, arm), angles, ARMS_FINE)
-    return replace(turned, kind="arms" if arm is None else "arm", dipole=arm)
-
-
-def _try_places(likelihood: AnyReceiver, models: SkyModels, latitude: float, longitude: float) -> list[Possibility]:
-    lst = likelihood.series.lst_hours
-    shifts = {"latitude sign": (0.0, -latitude), "longitude sign": (-2 * longitude / 15, latitude)}
-    if abs(longitude) <= NORTH_POLE_DEG:
-        shifts["latitude for longitude"] = ((latitude - longitude) / 15, longitude)
-    return [
-        _possible(kind, likelihood, models.seen(lst + shift, place), (shift + 12.0) % 24.0 - 12.0)
-        for kind, (shift, place) in shifts.items()
-    ]
 
 
 def _try_units(
