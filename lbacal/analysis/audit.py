@@ -23,7 +23,7 @@ from lbacal_core.audit.antennas import compare_paths
 from lbacal_core.audit.audit import AuditReport
 from lbacal_core.audit.audit import audit as audit_spectra
 from lbacal_core.audit.station import AuditedStation
-from lbacal_core.audit.verdict import UNDECIDED, WRONG, Line
+from lbacal_core.audit.verdict import UNDECIDED, Line
 from lbacal_core.readers.correlator import is_correlator_file
 from lbacal_core.readers.statistics import is_statistics
 from lbacal_core.spectra.spectra import Spectra, read_spectra
@@ -44,7 +44,7 @@ class Audit(Result):
     @property
     def wrong(self) -> list[Line]:
         """The lines that say that something is wrong."""
-        return [line for line in self.report.lines if line.verdict == WRONG]
+        return self.report.wrong
 
 
 def audit(
@@ -81,9 +81,8 @@ def audit(
     core = core_of(instrument)
     tell(f"audit {len(spectra)} spectra")
     report = audit_spectra(spectra, core, sky, antenna)
-    wrong = sum(line.verdict == WRONG for line in report.lines)
     doubts = sorted({one.check for one in report.lines if one.verdict == UNDECIDED and (one.log_odds or 0.0) > 0})
-    found = f"{wrong} wrong" if wrong else "nothing wrong"
+    found = f"{len(report.wrong)} wrong" if report.wrong else "nothing wrong"
     rows = [(line.verdict, line.check, line.station, f"{line.sentence}{_odds(line)}") for line in report.lines]
     models = {"instrument": core.name, "sky": sky or "of the instrument", "antenna": antenna or "of the instrument"}
     origin = [*list_origin(name, time_unix=spectra.time_unix), *models.items()]

@@ -45,9 +45,14 @@ class AuditReport:
     stations: Sequence[AuditedStation]
 
     @property
+    def wrong(self) -> list[Line]:
+        """The lines that say that something is wrong."""
+        return [line for line in self.lines if line.verdict == WRONG]
+
+    @property
     def is_healthy(self) -> bool:
         """Whether nothing was found to be wrong."""
-        return all(line.verdict != WRONG for line in self.lines)
+        return not self.wrong
 
     def as_dict(self) -> dict[str, Any]:
         """Describe the report as JSON values: `healthy`, `lines` and `stations`."""
@@ -92,19 +97,13 @@ def audit(
     return _audit(stations, instrument, models)
 
 
-def audit_antennas(stations: Sequence[AuditedStation], instrument: Instrument) -> AuditReport:
-    """Compare antennas with each other, without any model of the sky."""
-    return _audit(tuple(stations), instrument, None)
-
-
 def _audit(
     stations: Sequence[AuditedStation], instrument: Instrument, models: Callable[[], SkyModels] | None
 ) -> AuditReport:
     lines: list[Line] = []
     with warnings.catch_warnings():
-        warnings.filterwarnings(
-            "ignore", "All-NaN|Mean of empty|Degrees of freedom", RuntimeWarning
-        )  # nothing recorded
+        # nothing recorded
+        warnings.filterwarnings("ignore", "All-NaN|Mean of empty|Degrees of freedom", RuntimeWarning)
         for station in stations:
             lines += [*find_empty_channels(station), *find_copies(station)]
             lines += _audit_station(station, instrument.at_station(station.name), models)
@@ -166,17 +165,17 @@ class QuickAudit:
     Attributes
     ----------
     report
-        None where no station has antennas enough to be compared.
+        Without stations where none has antennas enough to be compared.
     """
 
-    report: AuditReport | None
+    report: AuditReport
 
     @property
     def sentence(self) -> str:
         """One sentence for the provenance."""
-        if self.report is None:
+        if not self.report.stations:
             return f"none: no station has {FEWEST} antennas to compare; `lbacal audit` asks the sky"
-        wrong = [line for line in self.report.lines if line.verdict == WRONG]
+        wrong = self.report.wrong
         antennas = sum(station.antennas.size for station in self.report.stations)
         if not wrong:
             return f"nothing wrong between {antennas} antennas (paths, cables, letters of single antennas, steps, unit)"
@@ -189,21 +188,18 @@ class QuickAudit:
 
         Where the fit names a mistake, antennas that agree with each other are no contradiction, and nothing is said.
         """
-        lines = self.report.lines if self.report else ()
-        wrong = [line for line in lines if line.verdict == WRONG]
-        stepped = {line.station for line in wrong if line.check == STEPPED}
+        stepped = {line.station for line in self.report.wrong if line.check == STEPPED}
         curves = [
             curve.as_misfit() if curve.c is not None and stepped and curve.station in {None, *stepped} else curve
             for curve in report.curves
         ]
-        says = wrong or LIKELY_MISTAKE not in report.provenance.notes
+        says = self.report.wrong or LIKELY_MISTAKE not in report.provenance.notes
         provenance = report.provenance.with_note("audit", self.sentence) if says else report.provenance
         return replace(report, curves=tuple(curves), provenance=provenance)
 
     def require_power(self, origin: str) -> None:
         """Refuse spectra whose unit is not that of power: a fit of them says nothing."""
-        units = [line for line in self.report.lines if line.check == "unit"] if self.report else []
-        wrong: list[Line] = [line for line in units if line.verdict == WRONG]
+        wrong = [line for line in self.report.wrong if line.check == "unit"]
         if wrong:
             said = f"{wrong[0].station}: {wrong[0].sentence} (ln odds {wrong[0].log_odds:+.0f})"
             raise BadInputError(f"{origin}: power", "power per MHz on a linear scale", said)
@@ -217,8 +213,9 @@ def audit_quickly(spectra: Spectra, instrument: Instrument) -> QuickAudit:
     of_stations = [_choose_rows(spectra, station) for station in np.unique(spectra.station)]
     chosen = np.concatenate([np.zeros(0, dtype=np.int64), *of_stations])
     if chosen.size == 0:
-        return QuickAudit(None)
-    return QuickAudit(audit_antennas(tuple(split_stations(spectra.select(np.sort(chosen)), instrument)), instrument))
+        return QuickAudit(AuditReport((), ()))
+    stations = tuple(split_stations(spectra.select(np.sort(chosen)), instrument))
+    return QuickAudit(_audit(stations, instrument, None))
 
 
 def _choose_rows(spectra: Spectra, station: str) -> NDArray[np.int64]:

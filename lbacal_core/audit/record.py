@@ -13,7 +13,7 @@ import numpy as np
 
 from lbacal_core.audit.audit import audit
 from lbacal_core.audit.sky_match import is_summer_time
-from lbacal_core.audit.verdict import SUMMER_TIME, WRONG, Line
+from lbacal_core.audit.verdict import SUMMER_TIME, Line
 from lbacal_core.causes.catalogue import CAUSES
 from lbacal_core.causes.cause import Description
 from lbacal_core.instrument.instrument import Instrument
@@ -117,9 +117,7 @@ def put_right(spectra: Spectra, simulation: Simulation) -> PutRight | None:
     simulation
         Under its own sky: one that is given has no other clock or arms to be computed for.
     """
-    wrong = [
-        one for one in audit(spectra, simulation.instrument, others=simulation.models).lines if one.verdict == WRONG
-    ]
+    wrong = audit(spectra, simulation.instrument, others=simulation.models).wrong
     errors = [RecordError(one) for one in wrong if one.kind in _OF_KIND]
     left_out = [one for one in wrong if one.dipole is not None and one.antennas]
     if not errors and not left_out:
@@ -148,9 +146,9 @@ NOT_NAMED = (
 
 def name_mistake(spectra: Recorded, simulation: Simulation) -> str:
     """Name the error of a record, in the audit's words, where P_sky of another record describes the data better."""
-    audits = spectra.each(lambda own: audit(own, simulation.instrument, others=simulation.models).lines)
-    lines = [one for of_stations in audits for one in of_stations]
-    errors = [RecordError(one) for one in lines if one.verdict == WRONG and (one.kind in _OF_KIND or one.candidates)]
+    audits = spectra.each(lambda own: audit(own, simulation.instrument, others=simulation.models).wrong)
+    wrong = [one for of_stations in audits for one in of_stations]
+    errors = [RecordError(one) for one in wrong if one.kind in _OF_KIND or one.candidates]
     return " ".join(one.sentence for one in errors) or NOT_NAMED
 
 
