@@ -19,9 +19,10 @@ from lbacal.files import path_of
 from lbacal.pages.chart import BAND, IMAGE, INK, LINE, OF_DIPOLE, Chart, Series
 from lbacal.pages.curves import FREQUENCY
 from lbacal.pages.report import Origin, fill_report, list_origin
-from lbacal_core.audit.antennas import compare_paths
+from lbacal_core.audit.antennas import DECIBEL, compare_paths
 from lbacal_core.audit.audit import AuditReport
 from lbacal_core.audit.audit import audit as audit_spectra
+from lbacal_core.audit.sky_match import SHORTEST_HOURS
 from lbacal_core.audit.station import AuditedStation
 from lbacal_core.audit.verdict import UNDECIDED, Line
 from lbacal_core.readers.correlator import is_correlator_file
@@ -29,9 +30,7 @@ from lbacal_core.readers.statistics import is_statistics
 from lbacal_core.spectra.spectra import Spectra, read_spectra
 
 COLUMNS = ("verdict", "check", "station", "what was found")
-SHORTEST_HOURS = 0.5
 LARGEST_DB = 3.0
-DECIBELS = 10 / np.log(10)
 FOR_AXIS, ROW = 70, 16
 
 
@@ -148,7 +147,7 @@ def _draw_page(report: AuditReport, origin: Origin) -> str:
 def _draw_station(station: AuditedStation) -> Iterator[Chart]:
     """Departure of every path from the median of its polarisation and cable name, and band power against LST."""
     compared = compare_paths(station)
-    departure = DECIBELS * (compared.level[..., None] + compared.profile)
+    departure = DECIBEL * (compared.level[..., None] + compared.profile)
     rows, mhz = [str(antenna) for antenna in station.antennas], station.frequency_mhz
     step = np.median(np.diff(mhz)) if mhz.size > 1 else 1.0
     extent = (mhz[0] - step / 2, mhz[-1] + step / 2), (len(rows) - 0.5, -0.5)
@@ -165,7 +164,7 @@ def _draw_station(station: AuditedStation) -> Iterator[Chart]:
 def _draw_sky(station: AuditedStation, column: int) -> Chart:
     """Band power of one dipole against LST, the median of its paths and their range."""
     dipole, order = station.dipoles[column], np.argsort(station.lst_hours)
-    band = DECIBELS * np.nanmean(station.before_cable()[:, column], axis=-1)
+    band = DECIBEL * np.nanmean(station.before_cable()[:, column], axis=-1)
     band = (band - np.nanmedian(band, axis=-1, keepdims=True))[:, order]
     lst, colour = station.lst_hours[order], OF_DIPOLE.get(dipole, INK)
     low, high = np.fmin.reduce(band), np.fmax.reduce(band)

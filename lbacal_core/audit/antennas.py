@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from lbacal_core.audit.station import SKY_HOURS, AuditedStation, as_power, spread
+from lbacal_core.audit.station import MEDIAN, SKY_HOURS, AuditedStation, as_power, spread
 from lbacal_core.audit.verdict import UNDECIDED, WRONG, Line
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
@@ -22,6 +22,7 @@ from lbacal_core.sky.table import harmonics_at
 # spectrum, and by how much of the others' change with time it follows. Thresholds are wide of what working antennas do:
 # gains of a station's receivers spread by 3-5 % (its gain tables), shapes by less.
 
+DECIBEL = 10 / np.log(10)
 DEAD_LEVEL = -np.log(10.0)
 """A path with less than a tenth of the others' power sends nothing of the sky."""
 DEAF_SHARE, DEAF_LEVEL = 0.6, -0.25
@@ -136,10 +137,10 @@ def find_ill_paths(station: AuditedStation, comparison: Comparison) -> tuple[lis
                 verdict=WRONG,
                 station=station.name,
                 sentence=f"antenna {station.antennas[a]} {station.dipoles[d]} {_SENTENCES[kind]}: "
-                f"{10 / np.log(10) * level:+.1f} dB from the others",
+                f"{DECIBEL * level:+.1f} dB from the others",
                 antennas=(int(station.antennas[a]),),
                 dipole=station.dipoles[d],
-                value=10 / np.log(10) * level,
+                value=DECIBEL * level,
                 unit="dB",
             )
         )
@@ -222,8 +223,6 @@ LEAST_LOG_ODDS = np.log(1e4)
 """One antenna in a hundred has a wrong entry at most, and every other cable name is tried for each."""
 FITS_SIGMA = 4.0
 """The cable that is named must describe the antenna within this many standard deviations."""
-MEDIAN = np.pi / 2
-"""Variance of a median of n values times n."""
 BEHIND_CABLE = 0.2
 """Share of the loss that noise behind the cable hides, at most."""
 SKY_INDEX = -0.55
@@ -598,7 +597,6 @@ SURE_SIGMA = 8.0
 FEWEST_BESIDE = 6
 """Instants before and after a step."""
 HARMONICS = 3
-DECIBEL = 10 / np.log(10)
 
 
 def find_steps(station: AuditedStation, rows: NDArray[np.int64]) -> list[Line]:

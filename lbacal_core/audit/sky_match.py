@@ -13,7 +13,7 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.audit.antennas import fits_cables, log_likelihood_of_unit
+from lbacal_core.audit.antennas import DECIBEL, PAIR, fits_cables, log_likelihood_of_unit
 from lbacal_core.audit.station import SHARE, SHARE_SPREAD, SKY_HOURS, AnyReceiver, AuditedStation, Seen, make_series
 from lbacal_core.audit.verdict import LEAST_GAIN, UNDECIDED, WRONG, Line, Possibility, conclude, describe, tell_summer
 from lbacal_core.grids import Floats
@@ -121,7 +121,6 @@ CLOCK_RANGE, CLOCK_STEP, CLOCK_FINE = 24.0, 0.5, 0.05
 FEW_CLOCKS = np.arange(-11.0, 12.0, 1.5).tolist()
 """Hours by which the clock of a month is tried: the rise of the Galaxy lasts longer than the half of a step."""
 ARMS_RANGE, ARMS_STEP, ARMS_FINE = 180.0, 10.0, 1.0
-PAIR = 2
 WHOLE_HOURS = 12.0
 """Sidereal time that each of summer and winter time must cover for a clock of its own."""
 NORTH_POLE_DEG = 90.0
@@ -331,7 +330,7 @@ def _try_units(
         The share of the sky that the data show, and its error; None where they are too short.
     """
     # what a share k of the sky in the power becomes in the recorded values
-    shrinks = {"volt": 0.5, "dB": 10 / np.log(10) / float(np.nanmean(station.power))}
+    shrinks = {"volt": 0.5, "dB": DECIBEL / float(np.nanmean(station.power))}
     by_cables = log_likelihood_of_unit(station, rows, "power", instrument)
     found = []
     for unit, factor in shrinks.items():

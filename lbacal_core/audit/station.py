@@ -180,8 +180,8 @@ ALONE = 3.0
 MISFIT = 5.0
 """Standard deviations of chi^2 by which what fits does not exceed its expectation."""
 FREE = 1.0
-MEDIAN = (np.pi / 2) ** 0.5
-"""Standard deviation of a median over that of a mean."""
+MEDIAN = np.pi / 2
+"""Variance of a median of n values times n."""
 SMALLEST_NOISE = 1e-3
 
 
@@ -243,7 +243,7 @@ def make_series(station: AuditedStation, rows: NDArray[np.int64]) -> Series:
     seen = np.nanmedian(binned, axis=0)
     count = np.maximum(np.sum(np.isfinite(binned), axis=0), 1)
     scatter = spread(binned - np.nanmedian(binned, axis=-1, keepdims=True))
-    noise = np.maximum(MEDIAN * scatter / count**0.5, SMALLEST_NOISE)
+    noise = np.maximum(MEDIAN**0.5 * scatter / count**0.5, SMALLEST_NOISE)
     noise = np.maximum(noise, _scatter_of_instants(seen)[..., None])
     mean = np.nanmean(seen, axis=-1, keepdims=True)
     is_whole = np.all(np.isfinite(seen), axis=(0, 1))
@@ -257,7 +257,7 @@ def _scatter_of_instants(seen: Floats) -> Floats:
         return np.zeros(seen.shape[:2])
     own = np.log(seen) - np.nanmean(np.log(seen), axis=(0, 1))
     bend = own[..., 1:-1] - (own[..., :-2] + own[..., 2:]) / 2
-    return np.asarray(np.nan_to_num(spread(bend, axis=-1)) / 1.5**0.5 * np.nanmedian(seen, axis=-1))
+    return np.asarray(np.nan_to_num(spread(bend, axis=-1)) / BEND * np.nanmedian(seen, axis=-1))
 
 
 FEWEST_INSTANTS = 8
