@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import csv
+import json
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from importlib.resources.abc import Traversable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +34,11 @@ def read_columns(path: Traversable) -> dict[str, NDArray[np.float64]]:
     lines = path.read_text().splitlines()
     rows = list(csv.DictReader(line for line in lines if not line.startswith("#")))
     return {column: np.array([float(row[column] or "nan") for row in rows]) for column in rows[0]}
+
+
+def read_content(name: str) -> Any:
+    """The content of a shipped JSON file, `lbacal_core/data/NAME.json`."""
+    return json.loads((SHIPPED / f"{name}.json").read_text())
 
 
 # The one prior of nature: by how much each thing may be other than it is simulated, with its source.

@@ -8,10 +8,8 @@ and Y (to 0.002 of 0.15), their shapes do not.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib.resources import files
 
 import numpy as np
 import scipy
@@ -19,7 +17,7 @@ from numpy.typing import NDArray
 
 from lbacal_core.antenna.names import DEFAULT_ANTENNA, load_antenna
 from lbacal_core.antenna.varied import VariedAntenna
-from lbacal_core.data.tables import read_prior
+from lbacal_core.data.tables import read_content, read_prior
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.linear import fit_least_squares
@@ -253,7 +251,7 @@ def _principal_axes(vectors: Floats) -> Floats:
 
 def _simulated_difference(frequency_mhz: Floats, lmax: int) -> Complexes:
     """Multipoles of D of the simulated LBA less those of the default antenna, shape (freq, l, m')."""
-    table = json.loads((files("lbacal_core") / "data/antenna_difference.json").read_text())
+    table = read_content("antenna_difference")
     nodes, rows = np.array(table["frequency_mhz"]), np.array(table["multipoles"]["rows"])
     weight = scipy.interpolate.CubicSpline(nodes, np.array(table["weight"]))(
         np.clip(frequency_mhz, nodes[0], nodes[-1])

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from lbacal_core.data.tables import SHIPPED, read_content
 from lbacal_core.errors import UnknownNameError, UnreadableFileError
 from lbacal_core.grids import Floats
 from lbacal_core.sky.maps import PYGDSM_NAMES, make_pygdsm_model, read_component_maps
@@ -53,7 +52,7 @@ class SkyLevel:
 
 def read_sky_level() -> SkyLevel:
     """The level that ships with the package, made by validation/scripts/make_sky_anchors.py."""
-    content = json.loads((files("lbacal_core") / "data/sky_level.json").read_text())
+    content = read_content("sky_level")
     return SkyLevel(content["level"], content["slope"], np.array(content["covariance"]), content["scatter"])
 
 
@@ -86,8 +85,8 @@ def default_sky(frequency_mhz: Floats) -> str:
 
 def list_skies() -> list[str]:
     """Names of the sky models that ship with the package."""
-    folder = files("lbacal_core") / "data/skies"
-    return sorted(path.name.removesuffix(".json") for path in folder.iterdir() if path.name.endswith(".json"))
+    names = (path.name for path in (SHIPPED / "skies").iterdir())
+    return sorted(name.removesuffix(".json") for name in names if name.endswith(".json"))
 
 
 def load_sky(name_or_file: str) -> SkyModel:
@@ -95,11 +94,9 @@ def load_sky(name_or_file: str) -> SkyModel:
     if name_or_file == MEASURED_SKY:
         return tie_to_measurements(load_sky(BASE_SKY), read_sky_level())
     shipped = list_skies()
-    if name_or_file in shipped:
-        path_of_shipped = files("lbacal_core") / "data/skies" / f"{name_or_file}.json"
-        return _parse_sky(json.loads(path_of_shipped.read_text()))
-    if name_or_file in WIDE_SKIES:
-        return _parse_sky(json.loads((files("lbacal_core") / f"data/skies/wide/{name_or_file}.json").read_text()))
+    for names, folder in ((shipped, "skies"), (WIDE_SKIES, "skies/wide")):
+        if name_or_file in names:
+            return _parse_sky(read_content(f"{folder}/{name_or_file}"))
     if name_or_file in PYGDSM_NAMES:
         return make_pygdsm_model(name_or_file)
     path = Path(name_or_file)

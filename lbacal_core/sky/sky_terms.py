@@ -7,10 +7,8 @@ what the shipped ones differ by beyond it. ``measured``: the error of the level 
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -18,7 +16,7 @@ import numpy as np
 from lbacal_core.antenna.ideal import ShortDipole
 from lbacal_core.antenna.model import AntennaModel
 from lbacal_core.antenna.names import load_antenna
-from lbacal_core.data.tables import read_prior
+from lbacal_core.data.tables import read_content, read_prior
 from lbacal_core.errors import require_name
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
@@ -192,10 +190,9 @@ def _alternatives(
 
 def zero_level_sigma_k() -> float:
     """Root mean square of the offsets that map corrections give, carried to 75 MHz with nu^-2.55, K."""
-    anchors: list[dict[str, Any]] = json.loads((files("lbacal_core") / "data/sky_anchors.json").read_text())
     offsets = [
         one["offset_k"] * (np.mean(one["frequency_mhz"]) / OFFSET_MHZ) ** OFFSET_INDEX
-        for one in anchors
+        for one in read_content("sky_anchors")
         if one["kind"] == "map"
     ]
     return float(np.sqrt(np.mean(np.square(offsets))))
