@@ -78,10 +78,7 @@ def fit(
     selection = parse_selection(since, until, year, station)
     files = find_spectra_files(spectra)
     known = {"--instrument": instrument, "--sky-power": sky_power, "--with": with_ and report_path(with_)}
-    require_outputs(
-        {"--output": output, "--report": report, "--html": html, "--plot": plot},
-        {**known, **{f"SPECTRA {file}": file for file in files}},
-    )
+    require_outputs({"--output": output, "--report": report, "--html": html, "--plot": plot}, known, files)
     require_format("--output", output)
     read_model(with_).require_one_c(f"--with {with_}")
     simulation = Simulation.load(instrument, sky_power)
@@ -133,9 +130,8 @@ def budget(
 
     selection = parse_selection(since, until, year, station)
     files = find_spectra_files(spectra)
-    inputs = {"--instrument": instrument, "--sky-power": sky_power}
     outputs = {"--report": report, "--plot": plot}
-    require_outputs(outputs, {**inputs, **{f"SPECTRA {file}": file for file in files}})
+    require_outputs(outputs, {"--instrument": instrument, "--sky-power": sky_power}, files)
     with progress() as tell:
         measured = read_selected(files, selection, time.time(), tell)
         found = make_budget(measured, instrument, sky_power, sky, left_open, tell=tell)
@@ -239,11 +235,9 @@ def investigate(
             "--with, --since, --until, --year and --station belong to spectra, not to an LST curve"
         )
     files = find_spectra_files(spectra or [])
-    inputs: dict[str, str | Path | None] = {f"SPECTRA {file}": file for file in files}
-    inputs |= {"--lst-curve": lst_curve, "--sky-power": sky_power}
-    inputs["--with"] = None if with_ is None else report_path(with_)
+    inputs = {"--lst-curve": lst_curve, "--sky-power": sky_power, "--with": with_ and report_path(with_)}
     outputs = {"--report": report, "--html": html}
-    require_outputs(outputs, {**inputs, "--instrument": instrument})
+    require_outputs(outputs, {**inputs, "--instrument": instrument}, files)
     read_model(with_)
     simulation = simulation_of(instrument or "lofar-superterp", sky_power)
     with progress() as tell:

@@ -34,14 +34,18 @@ FORMS = {"--report": ".json", "--html": ".html"}
 """As what these options are written, whatever the end of the name."""
 
 
-def require_outputs(outputs: Mapping[str, Path | None], inputs: Mapping[str, str | Path | None]) -> None:
+def require_outputs(
+    outputs: Mapping[str, Path | None], inputs: Mapping[str, str | Path | None], spectra: Sequence[Path] = ()
+) -> None:
     """Refuse outputs that cannot be written or drawn, that are the same file, or that would replace an input.
 
     Parameters
     ----------
     outputs, inputs
-        The value of each option by its name as the user wrote it (``--report``); None where it was not given.
+        The value of each option by its name as the user wrote it (``--report``); None where it was not given. `spectra`
+        are inputs too.
     """
+    inputs = {**inputs, **{f"SPECTRA {file}": file for file in spectra}}
     taken = {Path(value).resolve(): option for option, value in inputs.items() if value is not None}
     for option, path in outputs.items():
         if path is None:
