@@ -32,14 +32,11 @@ _UNSAID = {
 _KINDS: dict[type, Kind] = {float: NUMBERS, int: INTEGERS, str: STRINGS}
 
 
-def require_format(option: str, path: Path) -> str:
-    """The format that the end of a name says, one of `FORMATS`; what is no file, such as /dev/stdout, gets ecsv."""
-    if path.exists() and not path.is_file():
-        return "ecsv"
-    if path.suffix.lower() not in FORMATS:
+def require_format(option: str, path: Path) -> None:
+    """Refuse a name whose end says none of `FORMATS`; what is no file, such as /dev/stdout, needs none."""
+    if (path.is_file() or not path.exists()) and path.suffix.lower() not in FORMATS:
         expected = f"a name that ends in {', '.join(FORMATS)} (lbacal export writes others)"
         raise BadInputError(f"{option} {path}", expected, path.suffix or "no ending")
-    return FORMATS[path.suffix.lower()]
 
 
 def write_calibrations(content: Mapping[str, Any], path: Path, kind: str) -> None:
