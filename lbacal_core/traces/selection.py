@@ -94,14 +94,9 @@ def select_background(
         Statistics of the blocks, where they are known already.
     """
     statistics = statistics or transform_trace(trace.samples)[1]
-    highest, lowest, mean, mean_square = (
-        statistics.highest,
-        statistics.lowest,
-        statistics.mean,
-        statistics.mean_square,
-    )
+    highest, lowest, mean_square = statistics.highest, statistics.lowest, statistics.mean_square
     typical = np.median(mean_square[trace.is_intact]) if np.any(trace.is_intact) else 0.0
-    centre = float(np.median(mean))
+    centre = float(np.median(statistics.mean))
     variance = max(typical - centre**2, 0.0)
     peak = np.maximum(highest - centre, centre - lowest)
 
@@ -131,7 +126,9 @@ def select_background(
         if count:
             dropped[reason] = count
         is_background &= ~is_bad
-    return BlockSelection(is_background, dropped, tuple(int(p) for p in np.unique(pulses)), mean, mean_square)
+    return BlockSelection(
+        is_background, dropped, tuple(np.unique(pulses).astype(int).tolist()), statistics.mean, mean_square
+    )
 
 
 def find_keyed_blocks(
