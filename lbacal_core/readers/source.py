@@ -288,7 +288,7 @@ class _Sums:
         names = [name or name_event(float(t)) for (name, *_), t in zip(keys, begins, strict=True)]
         flags = np.array([flag for *_, flag in keys])[at]
         covariates = dict[str, Floats]()
-        for name in self._covariates():
+        for name in sorted({name for one in self.sums.values() for name in one.covariates}):
             total, known = np.array([one.covariates.get(name, np.zeros(2)) for one in sums]).T
             covariates[name] = np.divide(total, known, out=np.full(len(sums), np.nan), where=known > 0)[at]
         spectra = Spectra(
@@ -312,9 +312,6 @@ class _Sums:
         events = len({name for name, *_ in keys if name})
         lost = int(is_recorded.sum() - is_usable.sum())
         return Averaged(spectra, left_out, lost, self.integrations, counts, int(is_filled.sum()), events)
-
-    def _covariates(self) -> list[str]:
-        return sorted({name for one in self.sums.values() for name in one.covariates})
 
 
 def _fill(power: Floats, is_whole: NDArray[np.bool_], place: Floats) -> NDArray[np.bool_]:
