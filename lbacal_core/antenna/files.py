@@ -196,9 +196,7 @@ def grid_rows(
     row = int(np.argmax(apart))
     if apart[row] > SAME_RESPONSE * np.abs(values).max():
         where = f"{frequency[row]:g} MHz, {zenith[row]:g}, {phi[row]:g} deg"
-        raise BadInputError(
-            place, "one row for every frequency, zenith angle and azimuth", f"two that differ at {where}"
-        )
+        raise BadInputError(place, f"one {expected}", f"two that differ at {where}")
     return axes, grids
 
 
