@@ -304,12 +304,9 @@ def print_state(state: dict[str, Any]) -> None:
     print(f"alarms: {state['alarms']['line']}")
     for one in state["investigations"]:
         print_news(one)
-    for sentence in state["not_refitted"]:
-        print(sentence)
-    for sentence in state["stopped_paying"]:
-        print(f"no longer pays: {sentence}")
-    for sentence in state["stuck"]:
-        print(f"stuck: {sentence}")
+    for name, said in (("not_refitted", ""), ("stopped_paying", "no longer pays: "), ("stuck", "stuck: ")):
+        for sentence in state[name]:
+            print(f"{said}{sentence}")
     for failure in state["failures"]:
         request = failure["request"]
         what = " ".join(str(request[name]) for name in ("scope", "station") if request.get(name))
