@@ -7,7 +7,7 @@ test compares), so the memory of a station event is that of one trace and a few 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -141,25 +141,18 @@ class PathBackground:
 
 @dataclass(frozen=True)
 class _Reduced:
-    """One trace after its samples have been let go.
+    """One trace after its samples have been let go: its background without the power, and the search for lines.
 
     `is_judge` are the channels by whose power blocks were dropped: what they hold in the others is biased by that.
     """
 
-    trace: TraceReference
-    channel_mhz: Floats
-    coarse: Floats
-    blocks: int
+    so_far: PathBackground
     fine: FineSpectrum
     baseline: Floats
     is_line: Flags
     is_judge: Flags
     segment_ids: NDArray[np.int64]
     phases: NDArray[np.complex64] | None
-    rms: float
-    dropped: Mapping[str, int]
-    faults: Mapping[str, int]
-    pulses: tuple[int, ...]
 
 
 def measure_background(
@@ -217,8 +210,9 @@ def _reduce_trace(
         reason = f"too few background blocks: {clean.size}, {wanted} are needed"
     elif selection.spread < QUIET_ADC:
         reason = f"dead: r.m.s. below {QUIET_ADC} ADC units"
+    nothing = _begin(trace, settings, selection, channel_frequencies(BLOCK_SAMPLES, rate)[searched])
     if reason:
-        return _unusable(trace, settings, selection, reason)
+        return replace(nothing, excluded=reason)
     dropped = dict(selection.dropped)
     if clean.size < len(transform):
         transform = transform[clean]
@@ -238,22 +232,9 @@ def _reduce_trace(
         is_line, baseline = find_lines(fine)
     if settings.blocks is not None:
         transform = transform[(np.arange(settings.blocks) * clean.size) // settings.blocks]
-    return _Reduced(
-        trace=trace.reference,
-        channel_mhz=channel_frequencies(BLOCK_SAMPLES, rate)[searched],
-        coarse=sum_of_squares(transform) * to_density / len(transform),
-        blocks=len(transform),
-        fine=fine,
-        baseline=baseline,
-        is_line=is_line,
-        is_judge=is_judge,
-        segment_ids=segment_ids,
-        phases=phases,
-        rms=selection.rms,
-        dropped=dropped,
-        faults=trace.faults,
-        pulses=selection.pulses,
-    )
+    density = sum_of_squares(transform) * to_density / len(transform)
+    so_far = replace(nothing, density=density, blocks=len(transform), dropped=dropped)
+    return _Reduced(so_far, fine, baseline, is_line, is_judge, segment_ids, phases)
 
 
 def _line_strength(
@@ -286,7 +267,7 @@ def _find_station_lines(usable: Sequence[_Reduced]) -> Flags | None:
     stability = np.zeros(ratios.shape[1])
     pairs = 0
     for dipole in DIPOLES:
-        group = [item for item in usable if item.phases is not None and item.trace.dipole == dipole]
+        group = [item for item in usable if item.phases is not None and item.so_far.reference.dipole == dipole]
         for left, right in pairwise(group):
             if left.phases is None or right.phases is None:
                 continue
@@ -304,7 +285,7 @@ def _find_station_lines(usable: Sequence[_Reduced]) -> Flags | None:
 
 def _finish(item: _Reduced, station_lines: Flags | None, settings: CleaningSettings) -> PathBackground:
     """Flag the channels, bin to the grid, and fill what cannot be measured."""
-    fine = item.fine
+    fine, so_far = item.fine, item.so_far
     baseline = item.baseline
     is_line = item.is_line
     if station_lines is not None and station_lines.size == is_line.size:
@@ -313,32 +294,21 @@ def _finish(item: _Reduced, station_lines: Flags | None, settings: CleaningSetti
         if np.sum(is_unknown) > WIDE_CHANNELS:
             baseline = estimate_baseline(fine, is_line)  # which had taken wide interference for sky
     ratio = fine.density / baseline
-    leak = line_leakage(is_line, ratio - 1.0, fine.factor, item.coarse.size)
+    leak = line_leakage(is_line, ratio - 1.0, fine.factor, so_far.density.size)
     is_flagged = (leak > LARGEST_LEAK) | item.is_judge
     shape = baseline[:: fine.factor]
-    unexplained = item.coarse / shape - leak  # blocks beside a dropped one are in no segment of the search
-    is_flagged |= np.convolve(find_excess(unexplained, item.blocks, COARSE_BOXES), np.ones(3), mode="same") > 0
-    channel_mhz = item.channel_mhz
-    power, is_filled = bin_spectrum(item.coarse - leak * shape, shape, is_flagged, channel_mhz, settings)
+    unexplained = so_far.density / shape - leak  # blocks beside a dropped one are in no segment of the search
+    is_flagged |= np.convolve(find_excess(unexplained, so_far.blocks, COARSE_BOXES), np.ones(3), mode="same") > 0
+    channel_mhz = so_far.channel_mhz
+    power, is_filled = bin_spectrum(so_far.density - leak * shape, shape, is_flagged, channel_mhz, settings)
     excluded = ""
     if np.mean(is_filled) > MOST_FILLED:
         excluded = f"interference: {np.sum(is_filled)} of {is_filled.size} bins have no clean channel"
     elif not np.all(np.isfinite(power) & (power > 0)):
         excluded = "no power in some bins"
-    return PathBackground(
-        reference=item.trace,
-        power=power,
-        blocks=item.blocks,
-        channel_mhz=channel_mhz,
-        density=item.coarse,
-        is_flagged=is_flagged,
-        line_mhz=channel_mhz[0] + _line_frequencies(is_line, ratio, fine.channel_mhz),
-        is_filled=is_filled,
-        rms=item.rms,
-        dropped=item.dropped,
-        faults=item.faults,
-        pulses=item.pulses,
-        excluded=excluded,
+    line_mhz = channel_mhz[0] + _line_frequencies(is_line, ratio, fine.channel_mhz)
+    return replace(
+        so_far, power=power, is_flagged=is_flagged, line_mhz=line_mhz, is_filled=is_filled, excluded=excluded
     )
 
 
@@ -375,9 +345,8 @@ def _line_frequencies(is_line: Flags, ratio: Floats, channel_mhz: float) -> Floa
     return np.array(peaks, dtype=float) * channel_mhz
 
 
-def _unusable(trace: Trace, settings: CleaningSettings, selection: BlockSelection, reason: str) -> PathBackground:
-    rate = trace.reference.sample_rate_hz
-    channel_mhz = channel_frequencies(BLOCK_SAMPLES, rate)[_searched_channels(settings, rate)]
+def _begin(trace: Trace, settings: CleaningSettings, selection: BlockSelection, channel_mhz: Floats) -> PathBackground:
+    """The background of a trace in which no power was measured yet."""
     bins = settings.frequency_mhz.size
     return PathBackground(
         reference=trace.reference,
@@ -392,5 +361,4 @@ def _unusable(trace: Trace, settings: CleaningSettings, selection: BlockSelectio
         dropped=selection.dropped,
         faults=trace.faults,
         pulses=selection.pulses,
-        excluded=reason,
     )
