@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from importlib.metadata import version
 
 import numpy as np
 
@@ -12,12 +13,12 @@ from lbacal_core.antenna.names import load_antenna
 from lbacal_core.antenna.varied import VariedAntenna
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.provenance import hash_content
+from lbacal_core.provenance import MODEL_VERSION, hash_content
 from lbacal_core.sky.antenna_of import antenna_for_ratios, antenna_of
 from lbacal_core.sky.model import DATA_EPOCH, SkyModel, precess_multipoles
 from lbacal_core.sky.modes import beam_multipoles, combine, sky_power_at
 from lbacal_core.sky.names import default_sky, load_sky
-from lbacal_core.sky.table import SkyPower, describe_view
+from lbacal_core.sky.table import MadeFor, SkyPower
 
 LST_HOURS = np.arange(96) / 4.0
 """The default grid; P_sky has so few Fourier terms that it is exact between these points as well."""
@@ -52,6 +53,8 @@ def compute_sky_power(
     tilts = {dipole: instrument.tilt_deg(dipole) for dipole in instrument.dipoles}
     beams = {tilt: beam_multipoles(antenna_model, frequency_mhz, sky_model.lmax, tilt) for tilt in set(tilts.values())}
     origin = f"sky {sky_model.name}, antenna {antenna_model.name}"
+    models = {"sky": sky_model.digest(), "antenna": antenna_model.digest()}
+    versions = {"lbacal": version("lbacal"), "model_version": MODEL_VERSION}
 
     def table_of(one: Instrument, stations: Mapping[str, SkyPower]) -> SkyPower:
         """P_sky where an instrument stands."""
@@ -59,17 +62,17 @@ def compute_sky_power(
             dipole: sky_power_at(combine(temperature, beams[tilts[dipole]], arm, one.latitude_deg, frequency_mhz), lst)
             for dipole, arm in one.dipole_azimuth_deg.items()
         }
+        arms, hashes = dict(one.dipole_azimuth_deg), {"instrument": one.view_digest(), **models}
         inputs = {
-            "sky": sky_model.digest(),
-            "antenna": antenna_model.digest(),
+            **models,
             "latitude_deg": one.latitude_deg,
-            "dipole_azimuth_deg": dict(one.dipole_azimuth_deg),
+            "dipole_azimuth_deg": arms,
             "frequency_mhz": frequency_mhz.tolist(),
             "lst_hours": lst.tolist(),
             "epoch": DATA_EPOCH,
             **({"dipole_tilt_deg": tilts} if any(tilts.values()) else {}),
         }
-        made_for = describe_view(one, sky_model.name, sky_model.digest(), antenna_model.name, antenna_model.digest())
+        made_for = MadeFor(one.name, sky_model.name, antenna_model.name, arms, hashes, versions)
         table = SkyPower(frequency_mhz, lst, power, origin, made_for=made_for, stations=stations)
         return table.of_inputs(hash_content(inputs))
 

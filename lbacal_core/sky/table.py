@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ from lbacal_core.grids import Floats, require_channels
 from lbacal_core.instrument.antennas import is_dipole_name
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.linear import pseudo_invert
-from lbacal_core.provenance import MODEL_VERSION, hash_arrays, hash_content
+from lbacal_core.provenance import hash_arrays, hash_content
 
 # P_sky on any LST grid as a Fourier series, by least squares.
 #
@@ -228,18 +227,6 @@ def shipped_antenna_digest(name: str | None) -> str | None:
     return load_antenna(name).digest() if name in ANTENNAS else None
 
 
-def describe_view(instrument: Instrument, sky: str, sky_digest: str, antenna: str, antenna_digest: str) -> MadeFor:
-    """Describe instrument, sky and antenna of this package's own sky power."""
-    return MadeFor(
-        instrument.name,
-        sky,
-        antenna,
-        dict(instrument.dipole_azimuth_deg),
-        {"instrument": instrument.view_digest(), "sky": sky_digest, "antenna": antenna_digest},
-        {"lbacal": version("lbacal"), "model_version": MODEL_VERSION},
-    )
-
-
 def parse_made_for(content: Mapping[str, Any], place: str) -> MadeFor | None:
     """Read what a sky power file says that it was made for; None where it says nothing."""
     kinds: dict[str, type] = {"instrument": str, "sky": str, "antenna": str, "dipoles": dict, "hashes": dict}
@@ -259,14 +246,8 @@ def parse_made_for(content: Mapping[str, Any], place: str) -> MadeFor | None:
     for name, value in given.get("hashes", {}).items():
         if not isinstance(value, str):
             raise BadInputError(f"{place}: hashes.{name}", "a hash", repr(value)[:60])
-    return MadeFor(
-        given.get("instrument"),
-        given.get("sky"),
-        given.get("antenna"),
-        arms,
-        given.get("hashes", {}),
-        given.get("versions", {}),
-    )
+    given.pop("dipoles", None)
+    return MadeFor(**given, dipole_azimuth_deg=arms)
 
 
 GALAXY_K, GALAXY_MHZ, GALAXY_INDEX = 180.0, 180.0, 2.55
