@@ -172,7 +172,8 @@ def compute_model_differences(instrument: Instrument, models: DifferenceModels |
     high = min(sky.frequency_mhz[-1] for sky in (default, *skies))
     # Beyond the range of all models the difference at its edge holds.
     nu = np.clip(instrument.frequency_mhz, low, high)
-    patterns = {tilt: list_patterns(instrument, models, nu, default.lmax, tilt) for tilt in _tilts(instrument)}
+    tilts = {instrument.tilt_deg(dipole) for dipole in instrument.dipoles}
+    patterns = {tilt: list_patterns(instrument, models, nu, default.lmax, tilt) for tilt in tilts}
     temperatures = {sky.name: precess_multipoles(sky.temperature(nu), DATA_EPOCH) for sky in (default, *skies)}
     added = precess_multipoles(default.changed(extra_isotropic=1.0).temperature(nu), DATA_EPOCH)
     shape, level, isotropic = {}, {}, {}
@@ -195,10 +196,6 @@ def compute_model_differences(instrument: Instrument, models: DifferenceModels |
         shape[dipole] = _principal_axes(change - level[dipole][:, None])
         isotropic[dipole] = np.exp(log_power(added, plain) - base) - 1.0
     return ModelDifferences(shape, level, isotropic, instrument.frequency_mhz)
-
-
-def _tilts(instrument: Instrument) -> set[float]:
-    return {instrument.tilt_deg(dipole) for dipole in instrument.dipoles}
 
 
 def list_patterns(
