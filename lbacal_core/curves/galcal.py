@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from datetime import datetime
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -61,6 +62,8 @@ SHOWN = 80
 PER_CHANNEL = ("flag", "c", "c_sigma_stat", "c_sigma_sys", "antenna_gain", "c_over_h")
 ROUNDING = 1e-3
 """Relative: numbers of the covariance have six digits, those of budgets six decimals of ln C."""
+_numbers = partial(np.array, dtype=float)
+"""Those of a channel without one, None, are NaN."""
 
 
 def find_problems(content: Mapping[str, Any]) -> list[str]:
@@ -170,10 +173,6 @@ def _check_covariance(
         variance = budget.variance(curve["dipole"]) + np.sum(covariance.own**2, axis=0)
         if not _agree(c * np.sqrt(variance), system, has_value):
             yield "covariance: expected c_sigma_sys^2 = c^2 (budget + sum own^2)"
-
-
-def _numbers(values: Sequence[float | None]) -> Floats:
-    return np.array([np.nan if value is None else value for value in values], dtype=float)
 
 
 def _agree(found: Floats, expected: Floats, at: Any) -> bool:
