@@ -386,14 +386,10 @@ _NULLABLE = ("station", "antenna", "dipole", *_NUMBERS[1:4], "chi2_per_dof", "ch
 """Fields that are null where they do not apply; others are then absent."""
 
 
-def _parse_parameters(content: Mapping[str, Any]) -> dict[str, Parameter]:
-    return {name: Parameter(one["value"], one["sigma"]) for name, one in content.items()}
-
-
 _PARSE: Mapping[str, Callable[[Any], Any]] = {
     **dict.fromkeys(_NUMBERS, partial(np.array, dtype=float)),
     **dict.fromkeys(("flag", "span_unix"), tuple),
-    "parameters": _parse_parameters,
+    "parameters": lambda every: {name: Parameter(one["value"], one["sigma"]) for name, one in every.items()},
     "covariance": parse_covariance,
     "merged": lambda one: MergedConstants(**one | {"constants": tuple(one["constants"])}),
     "sky_over_model": lambda one: SkyOverModel(**with_arrays(one)),
