@@ -38,16 +38,11 @@ def hann(length: int) -> NDArray[np.float32]:
     return window.astype(np.float32)
 
 
-def transform_blocks(blocks: NDArray[np.int16]) -> NDArray[np.complex64]:
-    """Fourier transform of windowed blocks, shape (block, n) to (block, n/2 + 1).
+def transform_in_place(blocks: NDArray[np.float32]) -> NDArray[np.complex64]:
+    """Fourier transform of Hann-windowed blocks, shape (block, n), which it overwrites: (block, n/2 + 1).
 
     Single precision: 1e-7 of the largest line, when the noise that matters is 1e-4 of it.
     """
-    return transform_in_place(blocks.astype(np.float32))
-
-
-def transform_in_place(blocks: NDArray[np.float32]) -> NDArray[np.complex64]:
-    """Fourier transform of Hann-windowed blocks, shape (block, sample), which it overwrites: (block, channel)."""
     blocks *= hann(blocks.shape[1])
     return np.asarray(scipy.fft.rfft(blocks, axis=1, overwrite_x=True), dtype=np.complex64)
 
@@ -68,7 +63,7 @@ def power_density(blocks: NDArray[np.int16], sample_rate_hz: float) -> Floats:
     total = np.zeros(length // 2 + 1)
     step = max(1, CHUNK_SAMPLES // length)
     for start in range(0, count, step):
-        total += sum_of_squares(transform_blocks(blocks[start : start + step]))
+        total += sum_of_squares(transform_in_place(blocks[start : start + step].astype(np.float32)))
     return np.asarray(total * density_per_square(length, sample_rate_hz) / count)
 
 

@@ -10,7 +10,7 @@ from lbacal_core.spectra.screening import FEWEST_EVENTS
 from lbacal_core.spectra.spectra import Spectra
 from lbacal_core.traces.assembly import find_anomalous_spectra
 from lbacal_core.traces.background import CleaningSettings, bin_spectrum, measure_background, measure_traces
-from lbacal_core.traces.density import channel_frequencies, density_per_square, transform_blocks
+from lbacal_core.traces.density import channel_frequencies, density_per_square, transform_in_place
 from lbacal_core.traces.selection import find_keyed_blocks, select_background
 from lbacal_core.traces.trace import Trace, group_traces, list_traces
 from lbacal_twin.voltages import Shower, Transmitter
@@ -222,7 +222,9 @@ def test_only_a_transmitter_that_is_mostly_silent_costs_blocks(make_trace, duty,
     strength = np.zeros(513)
     strength[round(45.0 * 1024 / 200)] = 10.0
     to_density = density_per_square(1024, 200e6)
-    found = find_keyed_blocks(transform_blocks(trace.samples), strength, np.full(513, 4.0), to_density)
+    found = find_keyed_blocks(
+        transform_in_place(trace.samples.astype(np.float32)), strength, np.full(513, 4.0), to_density
+    )
     on = (np.arange(400) * 1024 / 200e6 / 4e-4) % 1.0 < duty
     if is_keyed:
         assert np.all(found[on])
