@@ -72,19 +72,14 @@ def beam_on_equator(beam: Complexes, arm_azimuth_deg: float, latitude_deg: float
 
 
 def sky_power_modes(
-    sky: SkyModel,
-    antenna: AntennaModel,
-    arm_azimuth_deg: float,
-    latitude_deg: float,
-    frequency_mhz: Floats,
-    epoch: float = DATA_EPOCH,
+    sky: SkyModel, antenna: AntennaModel, arm_azimuth_deg: float, latitude_deg: float, frequency_mhz: Floats
 ) -> Complexes:
     """Fourier terms c_m of P_sky of one dipole, shape (m, freq), m >= 0, W m^-2 MHz^-1.
 
     P(t) = c_0 + 2 Re sum_{m>0} c_m exp(i m t), t the local mean sidereal time.
     """
     beam = beam_multipoles(antenna, frequency_mhz, sky.lmax)
-    temperature = precess_multipoles(sky.temperature(frequency_mhz), epoch)
+    temperature = precess_multipoles(sky.temperature(frequency_mhz), DATA_EPOCH)
     return combine(temperature, beam, arm_azimuth_deg, latitude_deg, frequency_mhz)
 
 
