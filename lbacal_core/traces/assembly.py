@@ -95,13 +95,10 @@ def record_background(event: StationEvent, background: PathBackground, settings:
     }
 
 
-def assemble_spectra(
-    records: Sequence[Mapping[str, Any]], settings: CleaningSettings, facts: EventFacts | None = None
-) -> Spectra:
+def assemble_spectra(records: Sequence[Mapping[str, Any]], settings: CleaningSettings, facts: EventFacts) -> Spectra:
     """Lay the records of usable backgrounds out as spectra, in order of time, station and receiver."""
     usable = [record for record in records if not record["excluded"]]
     usable.sort(key=lambda record: (record["time_unix"], record["station"], record["rcu"]))
-    facts = facts or EventFacts()
     environment = {}
     for name in COVARIATES:
         of_event = {event: values[name] for event, values in facts.environment.items() if name in values}
