@@ -72,8 +72,8 @@ def fit(
     """
     from lbacal.analysis.fit import NEXT_STEP
     from lbacal.analysis.fit import fit as fit_spectra
+    from lbacal.analysis.instrument import simulation_of
     from lbacal.calibration_files import require_format
-    from lbacal_core.simulation.simulation import Simulation
 
     selection = parse_selection(since, until, year, station)
     files = find_spectra_files(spectra)
@@ -81,7 +81,7 @@ def fit(
     require_outputs({"--output": output, "--report": report, "--html": html, "--plot": plot}, known, files)
     require_format("--output", output)
     read_model(with_).require_one_c(f"--with {with_}")
-    simulation = Simulation.load(instrument, sky_power)
+    simulation = simulation_of(instrument, sky_power)
     given = "" if sky_power is None else f" --sky-power {sky_power}"
     rerun = f"{' '.join(str(path) for path in spectra)}{selection.options} --instrument {instrument}{given}"
     steps = len(files) + STEPS_OF_FIT + (html is not None or plot is not None)

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -38,7 +37,7 @@ from lbacal_core.simulation.prior import DEFAULT_SKY_BUDGET, SkyPrior, list_chan
 from lbacal_core.sky.differences import DifferenceModels, ModelDifferences, compute_model_differences
 from lbacal_core.sky.power import compute_sky_power
 from lbacal_core.sky.sky_terms import SkyTerm
-from lbacal_core.sky.table import SHORTEST_SMEARED_H, SkyPower, read_sky_power
+from lbacal_core.sky.table import SHORTEST_SMEARED_H, SkyPower
 from lbacal_core.spectra.blocks import Recorded
 from lbacal_core.spectra.spectra import BLOCK_S
 
@@ -102,9 +101,9 @@ class Simulation:
         return f"<Simulation {self.instrument.name} under {sky}{causes}>"
 
     @classmethod
-    def load(cls, instrument: str, sky_power: Path | None = None, causes: Model = PLAIN) -> Simulation:
-        """An instrument by its name or file, under its own sky or the P_sky of a file."""
-        return cls(load_instrument(instrument), None if sky_power is None else read_sky_power(sky_power), causes=causes)
+    def load(cls, instrument: str) -> Simulation:
+        """An instrument by its name or file, under its own sky."""
+        return cls(load_instrument(instrument))
 
     @cached_property
     def sky_power(self) -> SkyPower:
