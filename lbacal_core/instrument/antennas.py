@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from difflib import get_close_matches
 from itertools import pairwise
@@ -64,10 +64,6 @@ class Site:
                 is_other = field == "latitude_deg" and low <= self.longitude_deg <= high
                 hint = f"; longitude is {self.longitude_deg:g}: are the two exchanged?" if is_other else ""
                 raise BadInputError(f"{place}: {field}", f"{low:g} to {high:g}", f"{value:g}{hint}")
-
-    def as_dict(self) -> dict[str, float]:
-        """Describe the site by the fields of an instrument file."""
-        return asdict(self)
 
 
 def parse_sites(content: Any, place: str, height_m: float) -> dict[str, Site]:

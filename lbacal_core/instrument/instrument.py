@@ -274,7 +274,7 @@ class Instrument:
             **({} if self.gain_provenance is None else {"antenna_gain_provenance": self.gain_provenance.as_dict()}),
             **({"stages": [stage.as_dict() for stage in self.stages]} if self.stages else {}),
             **({} if self.kelvin_error is None else {"calibrated_in_kelvin": {"error": self.kelvin_error}}),
-            **({"sites": {name: site.as_dict() for name, site in sorted(self.sites.items())}} if self.sites else {}),
+            **({"sites": {name: dict(vars(site)) for name, site in sorted(self.sites.items())}} if self.sites else {}),
             **({"alternatives": self._list_alternatives()} if self.alternatives else {}),
         }
 
