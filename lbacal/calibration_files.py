@@ -11,6 +11,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from lbacal.files import write_json
 from lbacal.tables import ABSENT, COLUMNS, NO_ANTENNA, write_format
 from lbacal_core.curves.galcal import FORMAT, KEY, name_path
 from lbacal_core.errors import BadInputError, reading
@@ -42,7 +43,7 @@ def require_format(option: str, path: Path) -> None:
 def write_calibrations(content: Mapping[str, Any], path: Path, kind: str) -> None:
     """Write curves with their covariances and budgets in a format of `FORMATS`, or of `lbacal.tables`."""
     if kind == "json":
-        path.write_text(json.dumps(content, allow_nan=False, indent=1) + "\n", encoding="utf-8")
+        write_json(content, path)
     else:
         path.write_bytes(write_format(kind, dict(content)))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import secrets
@@ -52,6 +53,11 @@ def written_beside(path: Path) -> Iterator[Path]:
         raise UnwritableError(path, error) from error
     finally:
         beside.unlink(missing_ok=True)
+
+
+def write_json(content: Any, path: Path) -> None:
+    """Write JSON for people, which never holds NaN."""
+    path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def path_of(place: str, file: Any) -> Path:

@@ -11,7 +11,7 @@ import numpy as np
 from astropy import units as u
 
 from lbacal.chain import Chain, spread_numbers
-from lbacal.files import path_of, written_beside
+from lbacal.files import path_of, write_json, written_beside
 from lbacal.settings import causes_file
 from lbacal.units import convert_number, convert_numbers
 from lbacal_core.errors import BadInputError, require_kind
@@ -162,10 +162,8 @@ class Instrument:
 
     def save(self, path: str | Path) -> None:
         """Write the instrument file (docs/formats/instrument.md)."""
-        import json
-
         with written_beside(path_of("save", path)) as beside:
-            beside.write_text(json.dumps(self.core.as_dict(), indent=1) + "\n")
+            write_json(self.core.as_dict(), beside)
 
     def sky_power(self) -> SkyPower:
         """P_sky(LST, nu) of each dipole from the sky and antenna models that the instrument names."""

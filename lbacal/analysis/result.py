@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
@@ -10,7 +9,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lbacal.files import path_of, written_beside
+from lbacal.files import path_of, write_json, written_beside
 from lbacal.pages.chart import Chart, plot_charts
 from lbacal.tables import escape_texts
 from lbacal_core.errors import BadInputError
@@ -100,8 +99,8 @@ class Result:
     def save(self, path: str | Path, form: str | None = None) -> None:
         """Write it in the format that the end of the name says, or `form`; what was there stays if that fails."""
         writers: dict[str, Writer] = {}
-        if self.as_dict is not None:
-            writers[".json"] = partial(_write_json, self.as_dict)
+        if (content := self.as_dict) is not None:
+            writers[".json"] = lambda out: write_json(content(), out)
         if self.as_table is not None:
             writers |= {suffix: partial(self._write_table, kind=kind) for suffix, kind in TABLES.items()}
         writers |= {
@@ -143,10 +142,6 @@ class Result:
         body = "".join(f"<tr>{cells}</tr>" for cells in [head.replace("td>", "th>"), *rows])
         notes = "".join(f"<p>{escape(note)}</p>" for note in self.notes)
         return f"<p>{escape(self.title)}</p><table>{body}</table>{notes}"
-
-
-def _write_json(content: Callable[[], Mapping[str, Any]], path: Path) -> None:
-    path.write_text(json.dumps(content(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def align(rows: Sequence[Sequence[str]], words: int = 1) -> list[str]:

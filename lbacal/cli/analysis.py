@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from enum import StrEnum
@@ -30,11 +29,10 @@ from lbacal.cli.outputs import (
     show_result,
 )
 from lbacal.client import Client
-from lbacal.files import written_beside
+from lbacal.files import write_json, written_beside
 from lbacal.instants import format_optional
 from lbacal.selection import Selection, find_spectra_files, parse_selection, read_selected
 from lbacal.with_model import HELP, read_model, report_path
-from lbacal_core.curves.curves import write_fit_report
 from lbacal_core.errors import BadInputError
 
 STEPS_OF_FIT = 2
@@ -89,7 +87,7 @@ def fit(
         measured = read_selected(files, selection, time.time(), tell)
         found = fit_spectra(measured, simulation, None, scope.value, with_, tell=tell)
         with written_beside(report) as beside:
-            write_fit_report(found.report, beside)
+            write_json(found.report.as_dict(), beside)
         found.save(output)
         if html is not None or plot is not None:
             tell("draw")
@@ -269,7 +267,7 @@ def investigate_stored(selection: Selection, reason: str | None, report: Path | 
     show_each(found, print_investigation, "no investigations", as_json=as_json)
     if report is not None:
         with written_beside(report) as beside:
-            beside.write_text(json.dumps(found[0]["report"], indent=1, allow_nan=False) + "\n")
+            write_json(found[0]["report"], beside)
     if job["state"] != "done":
         print(f"job {job['job']} is {job['state']}: {job['error']}", file=sys.stderr)
         raise typer.Exit(1)

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -452,11 +450,6 @@ class FitReport:
         """Each curve, and of a mean of paths its reference chain as JSON values."""
         for curve, chain in zip(self.curves, self.chains or [None] * len(self.curves), strict=True):
             yield curve, None if chain is None or curve.antenna is not None else chain.as_dict()
-
-
-def write_fit_report(report: FitReport, path: Path) -> None:
-    """Write fit.json."""
-    path.write_text(json.dumps(report.as_dict(), indent=1, allow_nan=False) + "\n")
 
 
 # The errors of a curve, each fully correlated along frequency, independent of each other.
