@@ -14,7 +14,7 @@ import numpy as np
 from lbacal.files import write_json
 from lbacal.tables import ABSENT, COLUMNS, NO_ANTENNA, write_format
 from lbacal_core.curves.galcal import FORMAT, KEY, name_path
-from lbacal_core.errors import BadInputError, reading
+from lbacal_core.errors import BadInputError, reading, require_parts
 from lbacal_core.hdf5 import INTEGERS, NUMBERS, STRINGS, Kind, open_dataset, read_text, read_values
 
 FORMATS = {
@@ -76,9 +76,7 @@ def read_calibrations(path: Path) -> dict[str, Any]:
     if kind == ".json":
         return complete_curves(_parse(path, path.read_bytes()), path)
     columns, head = {".ecsv": _read_ecsv, ".fits": _read_fits}.get(kind, _read_hdf5)(path)
-    missing = [name for name in REQUIRED if name not in columns]
-    if missing:
-        raise BadInputError(str(path), f"the columns {', '.join(REQUIRED)}", f"no {', '.join(missing)}")
+    require_parts(str(path), "columns", REQUIRED, columns)
     if head is None:
         raise BadInputError(f"{path}: {KEY}", f"the head of {FORMAT}, JSON text", "none")
     return join_rows(str(path), columns, _parse(path, head))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Container, Iterator, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import Any
@@ -98,6 +98,13 @@ def require_name(place: str, name: Any, known: Collection[str]) -> None:
     """Refuse a name that is not among some."""
     if name not in known:
         raise BadInputError(place, f"one of {', '.join(known)}", offer_name(name, known))
+
+
+def require_parts(place: str, kind: str, wanted: Sequence[str], given: Container[str]) -> None:
+    """Refuse what lacks some parts of a kind, such as ``columns``, and name them."""
+    missing = [name for name in wanted if name not in given]
+    if missing:
+        raise BadInputError(place, f"the {kind} {', '.join(wanted)}", f"no {', '.join(missing)}")
 
 
 def require_antenna(place: str, antenna: int, station: str, known: Collection[int]) -> None:

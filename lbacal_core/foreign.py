@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.errors import BadInputError, UnreadableFileError, reading
+from lbacal_core.errors import BadInputError, UnreadableFileError, reading, require_parts
 from lbacal_core.grids import Floats
 
 # Values of JSON files, each checked, with one clear sentence where one is not what it should be.
@@ -122,7 +122,5 @@ def read_npz(path: Path, wanted: tuple[str, ...], words: str) -> dict[str, NDArr
     ):
         arrays = np.load(file, allow_pickle=False)
         content = {key: arrays[key] for key in arrays.files} if isinstance(arrays, np.lib.npyio.NpzFile) else {}
-    missing = [key for key in wanted if key not in content]
-    if missing:
-        raise BadInputError(str(path), f"the arrays {', '.join(wanted)}", f"no {', '.join(missing)}")
+    require_parts(str(path), "arrays", wanted, content)
     return content

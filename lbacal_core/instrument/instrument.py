@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.errors import BadInputError, UnknownNameError, offer_name, require_name
+from lbacal_core.errors import BadInputError, UnknownNameError, offer_name, require_name, require_parts
 from lbacal_core.foreign import parse_name, parse_number, parse_numbers, parse_optional_name, read_json, write_instant
 from lbacal_core.grids import Floats, require_channels
 from lbacal_core.instrument.antennas import (
@@ -386,9 +386,7 @@ def parse_instrument(content: Any, place: str, folder: Path | None = None) -> In
         content = fill_fields(content, stages, frequency_mhz.size)
     fields = ["name", "latitude_deg", "longitude_deg", "height_m", "frequency_mhz", "dipoles"]
     fields += ["antenna_gain", "receiver_gain", "cables", "antennas"]
-    missing = [field for field in fields if field not in content]
-    if missing:
-        raise BadInputError(place, f"the fields {', '.join(fields)}", f"no {', '.join(missing)}")
+    require_parts(place, "fields", fields, content)
     dipoles, cables, antennas = content["dipoles"], content["cables"], content["antennas"]
     if not isinstance(dipoles, dict) or not isinstance(cables, dict) or not isinstance(antennas, list):
         raise BadInputError(place, "dipoles and cables as objects, antennas as a list", "another shape")

@@ -14,7 +14,7 @@ from scipy.optimize import minimize_scalar
 
 from lbacal_core.data.lofar import DIPOLES, SUPERTERP
 from lbacal_core.data.tables import SHIPPED, read_table
-from lbacal_core.errors import BadInputError, UnreadableFileError
+from lbacal_core.errors import BadInputError, UnreadableFileError, require_parts
 from lbacal_core.foreign import parse_cell, read_text
 from lbacal_core.grids import Floats, require_same_grid
 from lbacal_core.instrument.instrument import Instrument
@@ -85,9 +85,7 @@ def read_lst_curve(path: Path) -> LstCurve:
     if not numbered:
         raise UnreadableFileError(f"{path}: expected the columns {', '.join(COLUMNS)}, found an empty file")
     header = [name.strip() for name in next(csv.reader([numbered[0][1]]))]
-    missing = [name for name in COLUMNS if name not in header]
-    if missing:
-        raise BadInputError(place, f"the columns {', '.join(COLUMNS)}", f"no {', '.join(missing)}")
+    require_parts(place, "columns", COLUMNS, header)
     rows = [_parse_row(header, line, f"{place}: line {k}") for k, line in numbered[1:]]
     if not rows:
         raise BadInputError(place, "at least one row below the header", "none")

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from lbacal_core.errors import BadInputError, reading
+from lbacal_core.errors import BadInputError, reading, require_parts
 from lbacal_core.foreign import parse_instant, read_npz, read_text
 from lbacal_core.grids import Floats, guess_widths
 from lbacal_core.readers.source import Integrations, Source
@@ -81,9 +81,7 @@ def _read_header(path: Path) -> dict[str, float]:
     """The columns that are frequencies, MHz."""
     with path.open(encoding="utf-8-sig", newline="") as file:
         header = [name.strip() for name in next(_lines(file), "").split(",")]
-    missing = [name for name in KEYS if name not in header]
-    if missing:
-        raise BadInputError(f"{path}: line 1", f"the columns {', '.join(KEYS)}", f"no {', '.join(missing)}")
+    require_parts(f"{path}: line 1", "columns", KEYS, header)
     if len(set(header)) < len(header) or "" in header:
         raise BadInputError(f"{path}: line 1", "a name for every column, each once", ", ".join(header)[:80])
     frequencies = {
