@@ -79,8 +79,7 @@ class VariedAntenna:
         return hash_content([self.base.digest(), self._settings()])
 
     def _settings(self) -> dict[str, float]:
-        names = ("azimuth_deg", "tilt_deg", "tilt_towards_deg", "zenith_exponent", "zenith_gain")
-        return {name: getattr(self, name) for name in names}
+        return {name: value for name, value in vars(self).items() if name != "base"}
 
     def _direction(self, zenith: Floats, azimuth_from_arm: Floats) -> tuple[Floats, Floats]:
         azimuth = azimuth_from_arm - np.radians(self.azimuth_deg)
