@@ -43,13 +43,10 @@ def tabulate_curves(curves: Sequence[CalibrationCurve]) -> list[list[str]]:
     """Header and rows: curves one by one, or if there are many those of a station and polarisation together."""
     frequency = curves[0].frequency_mhz
     at = np.unique(np.linspace(0, frequency.size - 1, SHOWN_CHANNELS).round().astype(int))
-    groups: Mapping[str, list[CalibrationCurve]]
-    if len(curves) <= MOST_ROWS:
-        groups = {curve.name: [curve] for curve in curves}
-    else:
-        groups = {}
-        for curve in curves:
-            groups.setdefault(" ".join(part for part in (curve.station, curve.dipole) if part), []).append(curve)
+    groups: dict[str, list[CalibrationCurve]] = {}
+    for curve in curves:
+        together = " ".join(part for part in (curve.station, curve.dipole) if part)
+        groups.setdefault(curve.name if len(curves) <= MOST_ROWS else together, []).append(curve)
     header = [*HEADER, *(f"C({frequency[k]:g} MHz), µV ±stat.% ±syst.%" for k in at)]
     return [header, *(_row(name, group, at) for name, group in groups.items())]
 
