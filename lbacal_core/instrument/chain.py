@@ -147,10 +147,8 @@ class Intercepts:
 
     def select(self, channels: NDArray[Any]) -> Intercepts:
         """The same on some of the channels."""
-        return Intercepts(
-            self.names, self.front[:, channels], self.behind[:, channels], self.known[channels],
-            self.mean, self.precision, self.units, self.ends_in_adc,
-        )  # fmt: skip
+        front, behind, known = self.front[:, channels], self.behind[:, channels], self.known[channels]
+        return replace(self, front=front, behind=behind, known=known)
 
 
 def three_constants(receiver_gain: Floats) -> Intercepts:
