@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.grids import Floats
+from lbacal_core.provenance import as_json
 
 # One line of an audit: what was asked, of whom, the answer and how sure it is.
 
@@ -66,20 +67,11 @@ class Line:
 
     def as_dict(self) -> dict[str, Any]:
         """Describe the line as JSON values, all but `kind` under their names here."""
-        return {
-            "check": self.check,
-            "verdict": self.verdict,
-            "station": self.station,
-            "antennas": list(self.antennas),
-            "dipole": self.dipole,
+        told = {name: as_json(value) for name, value in vars(self).items() if name != "kind"}
+        return told | {
             "log_odds": None if self.log_odds is None else round(self.log_odds, 1),
             "value": None if self.value is None else float(f"{self.value:.4g}"),
             "sigma": None if self.sigma is None else float(f"{self.sigma:.2g}"),
-            "unit": self.unit,
-            "since_unix": self.since_unix,
-            "until_unix": self.until_unix,
-            "candidates": list(self.candidates),
-            "sentence": self.sentence,
         }
 
 
