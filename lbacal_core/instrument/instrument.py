@@ -19,6 +19,7 @@ from lbacal_core.grids import Floats, require_channels
 from lbacal_core.instrument.antennas import (
     ABSOLUTE,
     EXPECTED,
+    RANGES,
     AntennaRecord,
     GainProvenance,
     Site,
@@ -390,13 +391,13 @@ def parse_instrument(content: Any, place: str, folder: Path | None = None) -> In
     dipoles, cables, antennas = content["dipoles"], content["cables"], content["antennas"]
     if not isinstance(dipoles, dict) or not isinstance(cables, dict) or not isinstance(antennas, list):
         raise BadInputError(place, "dipoles and cables as objects, antennas as a list", "another shape")
-    height_m = parse_number(content["height_m"], f"{place}: height_m")
+    arrays = ("frequency_mhz", "antenna_gain", "receiver_gain")
+    given: dict[str, Any] = {name: parse_number(content[name], f"{place}: {name}") for name in RANGES}
+    given |= {name: parse_numbers(content[name], f"{place}: {name}") for name in arrays}
+    given |= {name: parse_optional_name(content.get(name), f"{place}: {name}") for name in ("antenna", "sky")}
     return Instrument(
+        **given,
         name=parse_name(content["name"], f"{place}: name"),
-        latitude_deg=parse_number(content["latitude_deg"], f"{place}: latitude_deg"),
-        longitude_deg=parse_number(content["longitude_deg"], f"{place}: longitude_deg"),
-        height_m=height_m,
-        frequency_mhz=parse_numbers(content["frequency_mhz"], f"{place}: frequency_mhz"),
         dipole_azimuth_deg={
             name: parse_number(arm.get("azimuth_deg") if isinstance(arm, dict) else None, f"{place}: dipoles.{name}")
             for name, arm in dipoles.items()
@@ -406,12 +407,8 @@ def parse_instrument(content: Any, place: str, folder: Path | None = None) -> In
             for name, arm in dipoles.items()
             if isinstance(arm, dict) and arm.get("tilt_deg")
         },
-        antenna_gain=parse_numbers(content["antenna_gain"], f"{place}: antenna_gain"),
-        receiver_gain=parse_numbers(content["receiver_gain"], f"{place}: receiver_gain"),
         cables={str(name): parse_numbers(loss, f"{place}: cables.{name}") for name, loss in cables.items()},
         antennas=tuple(parse_record(record, f"{place}: antennas, row {k}") for k, record in enumerate(antennas)),
-        antenna=parse_optional_name(content.get("antenna"), f"{place}: antenna"),
-        sky=parse_optional_name(content.get("sky"), f"{place}: sky"),
         antenna_doubt=None
         if (doubt := content.get("antenna_doubt")) is None
         else parse_number(doubt, f"{place}: antenna_doubt"),
@@ -420,7 +417,7 @@ def parse_instrument(content: Any, place: str, folder: Path | None = None) -> In
         ),
         stages=stages,
         kelvin_error=_parse_kelvin_error(content.get("calibrated_in_kelvin"), f"{place}: calibrated_in_kelvin"),
-        sites=parse_sites(content.get("sites"), f"{place}: sites", height_m),
+        sites=parse_sites(content.get("sites"), f"{place}: sites", given["height_m"]),
         alternatives=alternatives,
     )
 
