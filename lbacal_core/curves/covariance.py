@@ -86,12 +86,7 @@ class Budget:
         return {
             "frequency_mhz": self.frequency_mhz.tolist(),
             "terms": [
-                {
-                    "name": term.name,
-                    "source": term.source,
-                    "is_of_gain": term.is_of_gain,
-                    "vectors": {k: np.round(v, DIGITS).tolist() for k, v in sorted(term.vectors.items())},
-                }
+                {**vars(term), "vectors": {k: np.round(v, DIGITS).tolist() for k, v in sorted(term.vectors.items())}}
                 for term in self.terms
             ],
         }
