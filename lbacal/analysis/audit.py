@@ -134,14 +134,7 @@ def _draw_page(report: AuditReport, origin: Origin) -> str:
         for station in report.stations
     ]
     lines = [line.as_dict() for line in report.lines]
-    return fill_report(
-        "audit.html",
-        source=dict(origin)["file"],
-        healthy=report.is_healthy,
-        lines=lines,
-        stations=stations,
-        made_from=origin,
-    )
+    return fill_report("audit.html", healthy=report.is_healthy, lines=lines, stations=stations, made_from=origin)
 
 
 def _draw_station(station: AuditedStation) -> Iterator[Chart]:

@@ -143,7 +143,6 @@ def draw_page(report: FitReport, charts: Sequence[Chart], origin: Origin, senten
     ]  # fmt: skip
     return fill_report(
         "fit.html",
-        source=dict(origin)["file"],
         sentences=list(sentences),
         header=rows[0],
         rows=rows[1:],

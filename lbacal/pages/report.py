@@ -51,4 +51,4 @@ def list_origin(
 def draw_investigation(content: Mapping[str, Any], origin: Origin = ()) -> str:
     """The report of `lbacal_core.discovery.report.investigate` as a page."""
     made_from = origin or list_origin("spectra", provenance=content["provenance"])
-    return fill_report("investigation.html", report=content, made_from=made_from, source=dict(made_from)["file"])
+    return fill_report("investigation.html", report=content, made_from=made_from)
