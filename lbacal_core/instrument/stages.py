@@ -194,7 +194,10 @@ def _parse_stage(content: Any, frequency_mhz: Floats, place: str, folder: Path |
     noise = content.get("noise_temperature_k")
     error = parse_number(content.get("noise_temperature_error_k", 0.0), f"{place}: noise_temperature_error_k")
     angle = parse_number(content.get("solid_angle_sr", 1.0), f"{place}: solid_angle_sr")
-    noise_k = None if noise in (None, FREE) else _noise(noise, frequency_mhz, f"{place}: noise_temperature_k")
+    noise_k = None
+    if noise not in (None, FREE):
+        where = f"{place}: noise_temperature_k"
+        noise_k = _require_positive(_on_channels(noise, "noise_temperature_k", frequency_mhz, where), where)
     stage = Stage(
         name=parse_name(content["name"], f"{place}: name"),
         kind=content["kind"],
@@ -212,29 +215,28 @@ def _gain(content: Mapping[str, Any], frequency_mhz: Floats, place: str, folder:
     """Linear power gain of a stage on the channels, None where it gives none."""
     if "gain" in content and "gain_db" in content:
         raise BadInputError(place, "gain or gain_db", "both")
+    given = content.get("gain", content.get("gain_db"))
+    if isinstance(given, dict):
+        return _gain_of_table(given, frequency_mhz, f"{place}: gain", folder)
     if "gain_db" in content:
-        return np.asarray(10.0 ** (_on_channels(content["gain_db"], frequency_mhz, f"{place}: gain_db") / 10.0))
-    given = content.get("gain")
+        return np.asarray(10.0 ** (_on_channels(given, "gain_db", frequency_mhz, f"{place}: gain_db") / 10.0))
     if given is None:
         return None
     if isinstance(given, str):
         if folder is None:
             raise BadInputError(f"{place}: gain", "a number or a table (no folder to look for files in)", given)
         return read_touchstone_gain(folder / given, frequency_mhz)
-    if isinstance(given, dict):
-        return _gain_of_table(given, frequency_mhz, f"{place}: gain", folder)
-    return _require_positive(_on_channels(given, frequency_mhz, f"{place}: gain"), f"{place}: gain")
+    return _require_positive(_on_channels(given, "gain", frequency_mhz, f"{place}: gain"), f"{place}: gain")
 
 
 def _gain_of_table(given: Mapping[str, Any], frequency_mhz: Floats, place: str, folder: Path | None) -> Floats:
     """What a load takes of an antenna's power, or a table of gains or decibels."""
     if set(given) == {"antenna", "load"}:
         return _match(given, frequency_mhz, place, folder)
-    nu = parse_numbers(given.get("frequency_mhz"), f"{place}.frequency_mhz")
     if "gain_db" in given:
-        decibels = interpolate(nu, parse_numbers(given["gain_db"], place), frequency_mhz, place)
-        return np.asarray(10.0 ** (decibels / 10.0))
+        return np.asarray(10.0 ** (_on_channels(given, "gain_db", frequency_mhz, place) / 10.0))
     gain = _require_positive(parse_numbers(given.get("gain"), f"{place}.gain"), place)
+    nu = parse_numbers(given.get("frequency_mhz"), f"{place}.frequency_mhz")
     return interpolate_gain(nu, gain, frequency_mhz, place)
 
 
@@ -243,17 +245,11 @@ def interpolate_gain(nu: Floats, gain: Floats, frequency_mhz: Floats, place: str
     return np.exp(interpolate(nu, np.log(gain), frequency_mhz, place))
 
 
-def _noise(given: Any, frequency_mhz: Floats, place: str) -> Floats:
+def _on_channels(given: Any, name: str, frequency_mhz: Floats, place: str) -> Floats:
+    """A number, a number a channel, or a table with them under a name, interpolated linearly; shape (freq,)."""
     if isinstance(given, dict):
-        given = {"frequency_mhz": given.get("frequency_mhz"), "value": given.get("noise_temperature_k")}
-    return _require_positive(_on_channels(given, frequency_mhz, place), place)
-
-
-def _on_channels(given: Any, frequency_mhz: Floats, place: str) -> Floats:
-    """A number, a number a channel, or a table that is interpolated linearly; shape (freq,)."""
-    if isinstance(given, dict):
-        nu = parse_numbers(given["frequency_mhz"], f"{place}.frequency_mhz")
-        return interpolate(nu, parse_numbers(given["value"], place), frequency_mhz, place)
+        nu = parse_numbers(given.get("frequency_mhz"), f"{place}.frequency_mhz")
+        return interpolate(nu, parse_numbers(given.get(name), place), frequency_mhz, place)
     if isinstance(given, list):
         values = parse_numbers(given, place)
         if values.shape != frequency_mhz.shape:

@@ -86,6 +86,8 @@ def gain_of(content, folder=None):
         ({"gain": [1, 2, 3]}, [1.0, 2.0, 3.0]),
         ({"gain_db": [0, 10, 20]}, [1.0, 10.0, 100.0]),
         ({"gain": {"frequency_mhz": [40, 60, 100], "gain_db": [-10, -20, 0]}}, [10**-1.5, 0.01, 0.1]),
+        # it was a KeyError: docs/formats/instrument.md has a table under either name
+        ({"gain_db": {"frequency_mhz": [40, 60, 100], "gain_db": [-10, -20, 0]}}, [10**-1.5, 0.01, 0.1]),
         ({"gain": {"frequency_mhz": [40, 60, 100], "gain": [0.1, 0.01, 1.0]}}, [10**-1.5, 0.01, 0.1]),
     ],
 )
