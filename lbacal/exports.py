@@ -12,7 +12,7 @@ import numpy as np
 
 from lbacal.instants import SECOND_US, parse_instant
 from lbacal_core.curves.galcal import make_head
-from lbacal_core.errors import BadInputError, MissingExtraError
+from lbacal_core.errors import BadInputError, needing
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 
@@ -29,12 +29,10 @@ def write_uvcal(content: Mapping[str, Any], instrument: Instrument, path: Path) 
     Gains multiply (gain_convention); calibrated visibilities are in V^2. quality_array is sigma(C)/C; channels without
     a C are flagged. Antennas stand at the place of the instrument, whose file does not say where each one is.
     """
-    try:
+    with needing("writing UVCal", "import"):
         from astropy import units as u
         from astropy.coordinates import EarthLocation
         from pyuvdata import Telescope, UVCal
-    except ImportError as error:
-        raise MissingExtraError("writing UVCal", "import") from error
     curves, name = _of_one_station(content)
     feeds = _feeds_of(instrument)
     antennas = sorted({curve["antenna"] for curve in curves})

@@ -130,6 +130,15 @@ class MissingExtraError(LbacalError, code="missing_extra"):
         super().__init__(f"{what} needs the extra {extra}: pip install 'lbacal[{extra}]'")
 
 
+@contextmanager
+def needing(what: str, extra: str) -> Iterator[None]:
+    """Name the extra that installs a module which cannot be imported."""
+    try:
+        yield
+    except ImportError as error:
+        raise MissingExtraError(what, extra) from error
+
+
 def _on_one_line(text: str) -> str:
     words = " ".join(text.split())
     # Bytes from a file could steer the terminal that shows them.

@@ -23,7 +23,7 @@ from lbacal.pages.chart import BAND, COLOURS, LINE, Chart, Series
 from lbacal.pages.curves import FREQUENCY
 from lbacal.selection import SUFFIXES, Selection, find_spectra_files, parse_selection, read_selected
 from lbacal.units import convert_band, convert_number, make_rng
-from lbacal_core.errors import BadInputError, MissingExtraError, require_kind
+from lbacal_core.errors import BadInputError, needing, require_kind
 from lbacal_core.grids import WITHIN_1_SIGMA, Floats
 from lbacal_core.readers.open import choose_channels, open_source
 from lbacal_core.readers.source import Averaged
@@ -282,11 +282,9 @@ def simulate(
     >>> len(spectra)
     240
     """
-    try:
+    with needing("lbacal.simulate", "twin"):
         from lbacal_twin.campaign import simulate_campaign
         from lbacal_twin.settings import TwinSettings
-    except ModuleNotFoundError as error:
-        raise MissingExtraError("lbacal.simulate", "twin") from error
     simulation = simulation_of(instrument)
     core = simulation.instrument
     rng = make_rng(seed)

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.antenna.model import Complexes, JonesTable
-from lbacal_core.errors import BadInputError, MissingExtraError, UnreadableFileError, reading
+from lbacal_core.errors import BadInputError, UnreadableFileError, needing, reading
 from lbacal_core.foreign import read_npz, read_text
 from lbacal_core.grids import Floats
 
@@ -381,10 +381,8 @@ def read_uvbeam(path: Path) -> JonesTable:
     Azimuth of a UVBeam runs from east through north; of its two components the first is along azimuth, the second along
     the zenith angle. Levels of beams come from a transmitter of unknown input and say nothing of G_ant.
     """
-    try:
+    with needing(f"{path}, a beam of pyuvdata,", "import"):
         from pyuvdata import UVBeam
-    except ImportError as error:
-        raise MissingExtraError(f"{path}, a beam of pyuvdata,", "import") from error
     broken = reading(f"{path}: expected a BeamFITS file", OSError, LookupError, ValueError, TypeError, AttributeError)
     with broken, warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from lbacal_core.errors import BadInputError, MissingExtraError, reading
+from lbacal_core.errors import BadInputError, MissingExtraError, needing, reading
 from lbacal_core.readers.source import Integrations, Source
 
 SUFFIXES = (".uvh5", ".uvfits")
@@ -30,10 +30,8 @@ def open_visibilities(path: Path) -> Source:
 
     The x feed of pyuvdata becomes X, y becomes Y; their angles, north through east, are the azimuths of the arms.
     """
-    try:
+    with needing(f"reading {path.name}", "import"):
         from pyuvdata import UVData
-    except ImportError as error:
-        raise MissingExtraError(f"reading {path.name}", "import") from error
     if path.is_dir() and find_spec("casacore") is None:
         raise MissingExtraError(f"reading the measurement set {path.name}", "casa")
     with reading(f"{path}: pyuvdata cannot read it", OSError, RuntimeError, ValueError, KeyError, IndexError):

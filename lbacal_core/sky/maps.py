@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lbacal_core.errors import BadInputError, MissingExtraError, UnknownNameError, reading
+from lbacal_core.errors import BadInputError, UnknownNameError, needing, reading
 from lbacal_core.foreign import read_npz
 from lbacal_core.grids import Floats
 from lbacal_core.sky.model import Complexes, SkyModel
@@ -59,10 +59,8 @@ def read_component_maps(path: Path) -> SkyModel:
 
 def make_pygdsm_model(name: str) -> SkyModel:
     """Make a model from the package pygdsm (extra `maps`), which fetches its data by itself on first use."""
-    try:
+    with needing(f"sky {name}", "maps"):
         import pygdsm
-    except ImportError as error:
-        raise MissingExtraError(f"sky {name}", "maps") from error
     makers = {
         "pygdsm-gsm2008": lambda: pygdsm.GlobalSkyModel(freq_unit="MHz", include_cmb=False),
         "pygdsm-gsm2016": lambda: pygdsm.GlobalSkyModel16(freq_unit="MHz", data_unit="TRJ", include_cmb=False),
