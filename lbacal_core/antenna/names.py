@@ -36,14 +36,16 @@ READERS: dict[str, Callable[[Path], AntennaModel]] = {
 """By the end of a file's name; any other is text, whose kind its first lines tell."""
 
 
-def load_antenna(name_or_file: str) -> AntennaModel:
-    """The antenna model of a name, or of a file of Jones terms in any of `READERS`.
+def load_antenna(name_or_file: str | AntennaModel) -> AntennaModel:
+    """The antenna model of a name, or of a file of Jones terms in any of `READERS`; a model as it is.
 
     Raises
     ------
     UnknownNameError
         Where it is neither.
     """
+    if not isinstance(name_or_file, str):
+        return name_or_file
     if name_or_file in ANTENNAS:
         return ANTENNAS[name_or_file]()
     path = Path(name_or_file)

@@ -44,9 +44,8 @@ def compute_sky_power(
     Directional sky power, W m^-2 MHz^-1 for R_r = 50 ohm.
     """
     sky = sky or instrument.sky or default_sky(instrument.frequency_mhz)
-    antenna = antenna or antenna_of(instrument)
     sky_model = load_sky(sky) if isinstance(sky, str) else sky
-    antenna_model = load_antenna(antenna) if isinstance(antenna, str) else antenna
+    antenna_model = load_antenna(antenna or antenna_of(instrument))
     lst = LST_HOURS if lst_hours is None else np.asarray(lst_hours, dtype=float)
     frequency_mhz = instrument.frequency_mhz
     temperature = precess_multipoles(sky_model.temperature(frequency_mhz), DATA_EPOCH)

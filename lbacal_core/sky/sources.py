@@ -33,8 +33,7 @@ def response_towards(
     zenith, azimuth
         Shape (...), rad, azimuth north through east.
     """
-    antenna = antenna or antenna_for_ratios(instrument)
-    model = load_antenna(antenna) if isinstance(antenna, str) else antenna
+    model = load_antenna(antenna or antenna_for_ratios(instrument))
     from_arm = np.asarray(azimuth) - np.radians(instrument.dipole_azimuth_deg[dipole])
     raised = raise_arm(model, instrument.tilt_deg(dipole))
     response = directional_response(raised, instrument.frequency_mhz, np.asarray(zenith), from_arm, model)
@@ -81,8 +80,7 @@ def add_sources(
     """P_sky with point sources added; maps that resolve them contain them already (docs/explanation)."""
     if not sources:
         return sky_power
-    antenna = antenna or antenna_for_ratios(instrument)
-    model = load_antenna(antenna) if isinstance(antenna, str) else antenna
+    model = load_antenna(antenna or antenna_for_ratios(instrument))
     power = {
         dipole: values
         + sum(source_sky_power(instrument, one, dipole, sky_power.lst_hours, year, model) for one in sources)
