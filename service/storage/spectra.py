@@ -455,10 +455,7 @@ class SpectraStore(Store):
 
     def count(self, window: Window) -> int:
         """Count the spectra of a window whose events are not flagged."""
-        inside = spectrum.c.time_us >= window.since, spectrum.c.time_us < window.until
-        of_events = _of_events(_near(window), event.c.flag.is_(None))
-        statement = _joined(select(func.count())).where(*_of_scope(window.scope), *of_events, *inside)
-        return int(self._connection.execute(statement).scalar_one())
+        return int(self._connection.execute(_unflagged(select(func.count()), window)).scalar_one())
 
     def has_usable(self, window: Window) -> bool:
         """Whether a fit of a window would have any spectrum."""
@@ -467,7 +464,7 @@ class SpectraStore(Store):
     def covariates_by_month(self, since: Instant, until: Instant) -> dict[str, list[tuple[Instant, Floats]]]:
         """Covariates at events of [since, until) by name: first instant and values, shape (event,), of each month."""
         statement = select(event.c.time_us, event.c.env).where(event.c.env.is_not(None)).order_by(event.c.time_us)
-        rows = self._connection.execute(statement.where(event.c.time_us >= since, event.c.time_us < until)).all()
+        rows = self._connection.execute(statement.where(*_of_events(Window(since, until)))).all()
         known: dict[str, list[tuple[int, float]]] = {}
         for time_us, env in rows:
             for name, value in json.loads(env).items():
@@ -492,17 +489,17 @@ class SpectraStore(Store):
 
         Spectra are only ever added and flags only ever appended, so the pair is the same only if the content is.
         """
-        return self._count_usable(window).total(), self._last_flag(window)
+        return self._count_usable(window).total(), self.last_flag(window.since, window.until)
 
     def contents(self, since: Instant, until: Instant, station: str | None = None) -> dict[str, Content]:
         """`content` of one station or of all, of those that hold usable spectra, in alphabetical order."""
-        window = Window(since, until, Scope(station))
-        flag = self._last_flag(window)
-        return {station: (count, flag) for station, count in sorted(self._count_usable(window).items()) if count}
+        flag, counts = self.last_flag(since, until), self._count_usable(Window(since, until, Scope(station)))
+        return {station: (count, flag) for station, count in sorted(counts.items()) if count}
 
     def last_flag(self, since: Instant, until: Instant) -> int:
         """The number of the last flag set or cleared in a window; 0 where none ever was."""
-        return self._last_flag(Window(since, until))
+        flags = select(func.coalesce(func.max(event_flag.c.id), 0)).join(event, event.c.id == event_flag.c.event)
+        return int(self._connection.execute(flags.where(*_of_events(Window(since, until)))).scalar_one())
 
     def count_flagged(self, window: Window, after: Instant | None = None) -> int:
         """Count the flagged events of a window; with `after` those that were not yet flagged then."""
@@ -526,11 +523,6 @@ class SpectraStore(Store):
         if station is None:
             return [Scope()]
         return [Scope(station), *(Scope(*one[1:]) for one in self._paths(Scope(station)))]
-
-    def _last_flag(self, window: Window) -> int:
-        flags = select(func.coalesce(func.max(event_flag.c.id), 0)).join(event, event.c.id == event_flag.c.event)
-        flags = flags.where(event.c.time_us >= window.since, event.c.time_us < window.until)
-        return int(self._connection.execute(flags).scalar_one())
 
     def _count_usable(self, window: Window) -> Counter[str]:
         """How many spectra a fit of a window uses, by station, from the numbers that are kept of events."""
@@ -683,8 +675,14 @@ class SpectraStore(Store):
 
 def _usable(statement: Select[Any], window: Window) -> Select[Any]:
     """Restrict a statement to the spectra that a fit of a window uses."""
-    return _joined(statement).where(
-        *_of_scope(window.scope), *_of_events(_near(window), event.c.flag.is_(None)), spectrum.c.far.is_(None),
+    return _unflagged(statement, window).where(spectrum.c.far.is_(None))
+
+
+def _unflagged(statement: Select[Any], window: Window) -> Select[Any]:
+    """Restrict a statement to the spectra of a window whose events, by whose times they are found, are not flagged."""
+    statement = statement.select_from(spectrum).join(path, path.c.id == spectrum.c.path)
+    return statement.join(event, event.c.id == spectrum.c.event).where(
+        *_of_scope(window.scope), *_of_events(_near(window), event.c.flag.is_(None)),
         spectrum.c.time_us >= window.since, spectrum.c.time_us < window.until,
     )  # fmt: skip
 
@@ -705,9 +703,3 @@ def _of_scope(scope: Scope) -> list[ColumnElement[bool]]:
 
 
 _COLUMNS = spectrum.c.event, spectrum.c.time_us, spectrum.c.blocks, spectrum.c.power, event.c.event_id
-
-
-def _joined(statement: Select[Any]) -> Select[Any]:
-    """Join spectra with their events, by whose times they are found, and paths."""
-    statement = statement.select_from(spectrum).join(path, path.c.id == spectrum.c.path)
-    return statement.join(event, event.c.id == spectrum.c.event)
