@@ -127,6 +127,11 @@ def is_of_person(withdrawal: Promotion) -> bool:
     return withdrawal.calibration is None and withdrawal.by != SCHEDULER
 
 
+def pick_answering(asked: Mapping[Scope, Sequence[Promotion]]) -> dict[Scope, Promotion]:
+    """The promotion that answers for each path that has one, of those that `LedgerStore.answers` found."""
+    return {path: said[-1] for path, said in asked.items() if said and said[-1].calibration is not None}
+
+
 class LedgerStore(Store):
     """Promotions are inserted, never changed."""
 
@@ -239,6 +244,11 @@ class LedgerStore(Store):
         """The newest promotion of each scope that covers an instant, a withdrawal too."""
         found = self.decisive_at([(scope, instant) for scope in scopes], as_of)
         return {scope: promotion for (scope, _), promotion in found.items()}
+
+    def versions_at(self, scopes: Iterable[Scope], instant: Instant) -> dict[Scope, str]:
+        """The version of each scope's own in effect at an instant, as the ledger stands now; left out where none is."""
+        said = self.decisive(scopes, instant, None)
+        return {scope: made.calibration for scope, made in said.items() if made.calibration is not None}
 
     def decisive_at(
         self, asked: Iterable[tuple[Scope, Instant]], as_of: Instant | None = None

@@ -42,6 +42,7 @@ from service.storage.alarms import (
 from service.storage.changes import DISMISSED, NOT_REFITTED, KeptChange, concerns, is_same_date
 from service.storage.database import Database, Stores
 from service.storage.jobs import Job
+from service.storage.ledger import pick_answering
 from service.storage.models import Investigation
 from service.storage.processes import SCHEDULER
 from service.storage.spectra import Window
@@ -95,10 +96,8 @@ def _find_error(stores: Stores, made: Investigation, finding: Mapping[str, Any])
     """The statistical error of C in effect for what a finding is about, without the cause; None where nothing is."""
     antennas, dipoles = finding["where"]["antennas"], finding["where"]["dipoles"]
     scope = Scope(made.station, antennas[0], dipoles[0]) if len(antennas) == 1 else Scope(made.station)
-    standing = stores.ledger.decisive(scope.widening, (made.since + made.until) // 2, None)
-    names = [standing[one].calibration for one in scope.widening if one in standing]
-    name = next((one for one in names if one is not None), None)
-    return None if name is None else _typical_error(stores.versions.get(name))
+    answering = pick_answering(stores.ledger.answers([scope], (made.since + made.until) // 2, None)).get(scope)
+    return None if answering is None else _typical_error(stores.versions.get(str(answering.calibration)))
 
 
 def _typical_error(version: Version) -> float | None:
@@ -313,9 +312,7 @@ def find_lost_c(stores: Stores) -> Iterator[News]:
     lost: dict[tuple[str, Instant, Instant], dict[Scope, str]] = {}
     for scope, window, why, had_c in told:
         middle, wider = sum(window) // 2, scope.widening
-        if scope.antenna is None or any(
-            one.calibration for one in stores.ledger.decisive(wider, middle, None).values()
-        ):
+        if scope.antenna is None or pick_answering(stores.ledger.answers([scope], middle, None)):
             continue
         if had_c or stores.ledger.neighbours({scope: wider}, middle, None)[scope][0] is not None:
             lost.setdefault((str(scope.station), *window), {}).setdefault(scope, why)

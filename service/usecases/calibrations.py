@@ -21,7 +21,7 @@ from service.errors import NotInEffectError
 from service.storage.alarms import Doubt
 from service.storage.changes import DISMISSED, STEP, Cut, Epoch, KeptChange, concerns, split_epochs
 from service.storage.database import Database, Stores
-from service.storage.ledger import Neighbours
+from service.storage.ledger import Neighbours, pick_answering
 from service.storage.spectra import Window
 from service.storage.versions import Version, Waiting
 
@@ -261,7 +261,7 @@ class Calibrations:
         asked, kept = self.database.ask(lambda s: (s.ledger.answers(paths, at, as_of), s.changes.kept(near, as_of)))
         waits, doubts = ({}, {}) if as_of is not None else self._ask_of_now(at, None if near is None else paths)
         of_antenna, dismissed = group_by_antenna(kept), [one for one in kept if one.decision == DISMISSED]
-        answers = _pick_decisive(asked)
+        answers = pick_answering(asked)
         held: Mapping[Scope, Promotion] = {}
         if len(answers) < len(paths) and (hold or not answers):
             asked, answers, held = self._look_around(at, paths, as_of, waits, hold=hold)
@@ -342,7 +342,7 @@ class Calibrations:
         """What was asked of the ledger, what answers, and what of it is held, where there is a gap; at one instant."""
         with self.database.read() as stores:
             asked = stores.ledger.answers(paths, at, as_of)
-            decisive = _pick_decisive(asked)
+            decisive = pick_answering(asked)
             missing = [path for path in paths if path not in decisive]
             # without `hold` the sentence names the neighbours of one path only
             served = missing if hold else missing[:1]
@@ -473,11 +473,6 @@ def follow_through(
     """A curve of a version along slow changes, every 30 days of a stretch in effect."""
     since, until = stretch.start or version.since, stretch.end or version.until
     return [(at, follow(served, version, slow, at)) for at in range(since, until, SAMPLED_US)]
-
-
-def _pick_decisive(asked: Mapping[Scope, Sequence[Promotion]]) -> dict[Scope, Promotion]:
-    """The promotion that answers for each path that has one."""
-    return {path: said[-1] for path, said in asked.items() if said and said[-1].calibration is not None}
 
 
 def _tell_withdrawn(asked: Iterable[Promotion]) -> list[str]:

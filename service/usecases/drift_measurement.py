@@ -39,11 +39,8 @@ def find_references(stores: Stores, instrument: Instrument, station: str) -> dic
     paths = [Scope(station, antenna, dipole) for antenna in antennas for dipole in instrument.dipoles]
     found: dict[Scope, str] = {}
     for since, until in find_years(stores):
-        middle, own = (since + until) // 2, dict[Scope, str]()
-        missing = [path for path in paths if path not in found]
-        for path, said in stores.ledger.answers(missing, middle, None).items():
-            if said and said[0].scope == path and said[0].calibration is not None:
-                own[path] = said[0].calibration
+        middle = (since + until) // 2
+        own = stores.ledger.versions_at((path for path in paths if path not in found), middle)
         uncut = stores.versions.uncut(own.values(), middle)
         found |= {path: uncut[name] for path, name in own.items()}
     return found

@@ -409,11 +409,7 @@ def find_change_of_mean(version: Version, predecessor: Version, dipole: str) -> 
 
 def find_predecessors(ledger: LedgerStore, scopes: Collection[Scope], middle: Instant) -> dict[Scope, str]:
     """The version of each scope in effect at the middle of a window, or else the last before it, or the first after."""
-    found = {
-        scope: promotion.calibration
-        for scope, promotion in ledger.decisive(scopes, middle, None).items()
-        if promotion.calibration is not None
-    }
+    found = ledger.versions_at(scopes, middle)
     silent = [scope for scope in scopes if scope not in found]
     for scope, (before, after) in ledger.neighbours({scope: (scope,) for scope in silent}, middle, None).items():
         nearest = before or after

@@ -18,6 +18,7 @@ from lbacal_core.instrument.instrument import Instrument
 from service.storage.alarms import LOST_PATH, STATES, Alarm, AlarmsAsked, News
 from service.storage.changes import LARGEST_TAKEN_OUT, STEP, Epoch, KeptChange, concerns, split_epochs
 from service.storage.database import Database
+from service.storage.ledger import pick_answering
 from service.storage.models import Investigation
 from service.storage.sums import DRIFT, Sums
 from service.storage.versions import Version
@@ -155,7 +156,7 @@ def list_bad(
     found = [*silent, *_insensitive(made), *_weak(changes, paths, instant)]
     order = {path: number for number, path in enumerate(paths)}
     bad = sorted((one for one in found if one.path in order), key=lambda one: (order[one.path], one.kind))
-    return bad, sum(bool(said) and said[-1].calibration is not None for said in answers.values())
+    return bad, len(pick_answering(answers))
 
 
 def _find_silent(years: Sequence[Sums], instant: Instant) -> tuple[list[BadPath], set[Scope]]:

@@ -19,6 +19,7 @@ from lbacal_core.instrument.instrument import Instrument
 from service.errors import UnavailableError
 from service.storage.database import FULL, Database
 from service.storage.jobs import Failure
+from service.storage.ledger import pick_answering
 from service.storage.migration import require_current
 from service.storage.processes import WORKER, Process
 from service.storage.versions import Version
@@ -151,8 +152,7 @@ def look_over(database: Database, instrument: Instrument, clock: Callable[[], In
     paths = select_paths(instrument, None, None, None)
     with database.read() as stores:
         span = stores.spectra.span()
-        answers = stores.ledger.answers(paths, clock() if span is None else span[1], None)
-        last = {path: said[-1] for path, said in answers.items() if said and said[-1].calibration is not None}
+        last = pick_answering(stores.ledger.answers(paths, clock() if span is None else span[1], None))
         wide = {str(promotion.calibration) for promotion in last.values() if promotion.scope.antenna is None}
         versions = stores.versions.get_many(wide)
         own = {path for path, promotion in last.items() if promotion.scope.antenna is not None}
