@@ -6,7 +6,7 @@ import hashlib
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cache, cached_property
 
 from lbacal.instants import DAY_US, SECOND_US, format_instant, format_optional
 from lbacal_core.calibration.slow_changes import follow_slow_changes
@@ -20,7 +20,7 @@ from lbacal_core.provenance import Remembered
 from service.errors import NotInEffectError
 from service.storage.alarms import Doubt
 from service.storage.changes import DISMISSED, STEP, Cut, Epoch, KeptChange, concerns, split_epochs
-from service.storage.database import Database, Stores
+from service.storage.database import Database
 from service.storage.ledger import Neighbours, pick_answering
 from service.storage.spectra import Window
 from service.storage.versions import Version, Waiting
@@ -283,6 +283,8 @@ class Calibrations:
         dates = {(scope, cut.date) for scope, of_scope in cuts.items() for cut in of_scope}
         bridging = self.database.ask(lambda s: s.ledger.bridging(dates, as_of)) if dates else {}
         budgets = self.budgets.get_many(named, lambda ids: self.database.look(lambda s: s.budgets.get_texts(ids)))
+        # asked once a version and change, however many paths the version answers for
+        have_spectra = cache(lambda *of: self.database.ask(lambda s: all(map(s.spectra.has_usable, of))))
 
         def list_curves(path: Scope, promotion: Promotion) -> Iterator[CurveInEffect]:
             """The curve that a path is served; of an array that was asked for by itself, those of its chains."""
@@ -297,7 +299,7 @@ class Calibrations:
             over = [cut for cut in cuts[scope] if bridging.get((scope, cut.date)) == promotion.calibration]
             warnings = [
                 *(_warn_over(cut, promotion, version, at) for cut in over),
-                *self._warn_of_both(path, version, of_antenna),
+                *_warn_of_both(path, version, of_antenna, have_spectra),
                 *(doubts[of] for of in (path, version.id) if of in doubts),
                 *(one.sentence for one in newer if one.has_c and one.scope != scope),
             ]
@@ -305,15 +307,11 @@ class Calibrations:
             slow = find_slow(scope, of_antenna)
             served, step = (promotion, is_held, trace), at // SLOW_STEP_US
             followed = slow, step * SLOW_STEP_US + SLOW_STEP_US // 2 if slow else None
-            if path.antenna is None:
-                for curve in version.curves:
-                    yield CurveInEffect(
-                        path, curve.dipole, *served, None, None, changed, *between, *followed, version, at
-                    )
-                return
             cable = version.cable_of(path, at)
-            unknown = at if cable is None and str(path.dipole) in version.chains else None
-            yield CurveInEffect(path, path.dipole, *served, cable, unknown, changed, *between, *followed, version, at)
+            unknown = at if cable is None and chain is not None else None
+            told = *served, cable, unknown, changed, *between, *followed, version, at
+            for dipole in [path.dipole] if path.dipole else [curve.dipole for curve in version.curves]:
+                yield CurveInEffect(path, dipole, *told)
 
         curves = [curve for path in paths if path in answers for curve in list_curves(path, answers[path])]
         return InEffect(at, curves, [path for path in paths if path not in answers], budgets)
@@ -354,18 +352,6 @@ class Calibrations:
             why = [*_tell_withdrawn(asked[missing[0]]), *([waiting] if waiting else [])]
             raise NotInEffectError(_explain_gap(missing, found[missing[0]], at, as_of, why))
         return asked, decisive | held, held
-
-    def _warn_of_both(self, path: Scope, version: Version, of_antenna: ByAntenna) -> Iterator[str]:
-        """Warnings about C fitted to spectra of both sides of a change, of a mean or of what a person put there."""
-        for one in _of(of_antenna, path.station, path.antenna):
-            date = one.change.date
-            if not one.cuts or not concerns(one, path.antenna, path.dipole) or not version.is_over(date):
-                continue
-            sides = [Window(*ends, version.scope) for ends in ((version.since, date), (date, version.until))]
-            if all(self.database.ask(partial(_has_usable, side)) for side in sides):
-                who, day = name_path(path.station, path.antenna), format_instant(date)[:10]
-                told = f"{who} changed on {day} (change {one.number})"
-                yield f"{told}: C in effect was fitted to spectra of before and after"
 
     def write(
         self, curves: Iterable[CurveInEffect], write: Callable[[CurveInEffect], WrittenCurve]
@@ -438,8 +424,18 @@ def _warn_over(cut: Cut, said: Promotion, version: Version, at: Instant) -> str 
     return None if (at < cut.date) == (side == "before") else told
 
 
-def _has_usable(window: Window, stores: Stores) -> bool:
-    return stores.spectra.has_usable(window)
+def _warn_of_both(
+    path: Scope, version: Version, of_antenna: ByAntenna, have_spectra: Callable[..., bool]
+) -> Iterator[str]:
+    """Warnings about C fitted to spectra of both sides of a change, of a mean or of what a person put there."""
+    for one in _of(of_antenna, path.station, path.antenna):
+        date = one.change.date
+        if not one.cuts or not concerns(one, path.antenna, path.dipole) or not version.is_over(date):
+            continue
+        if have_spectra(Window(version.since, date, version.scope), Window(date, version.until, version.scope)):
+            who, day = name_path(path.station, path.antenna), format_instant(date)[:10]
+            told = f"{who} changed on {day} (change {one.number})"
+            yield f"{told}: C in effect was fitted to spectra of before and after"
 
 
 def _find_epoch(path: Scope, at: Instant, of_antenna: ByAntenna, records: Sequence[AntennaRecord]) -> Epoch:
