@@ -137,7 +137,7 @@ def describe_alarm(alarm: Alarm, now: Instant) -> dict[str, Any]:
     news, known = alarm.news, alarm.acknowledgement
     return fill_answer(
         wire.AlarmAnswer, alarm, news, alarm=alarm.number, state=alarm.state_at(now),
-        since_sigma_days=None if news.since is None else news.since_error_us / DAY_US,
+        since_sigma_days=None if news.since is None else news.since_error / DAY_US,
         acknowledgement=None if known is None else fill_answer(wire.AcknowledgementAnswer, known),
     )  # fmt: skip
 

@@ -15,7 +15,7 @@ from lbacal_core.provenance import canonical_json
 from service.errors import NotFoundError
 from service.schema.tables import alarm
 from service.storage.changes import is_same_date
-from service.storage.rows import Store, equal, from_row, scope_columns
+from service.storage.rows import Store, equal, from_row, scope_columns, to_row
 
 STEP = "step"
 SLOPE = "slope"
@@ -53,8 +53,8 @@ class News:
         What is wrong, for a human, in one line.
     content
         The numbers, as JSON values.
-    since, since_error_us
-        When it began and the standard deviation of that; another run may date it a little differently.
+    since, since_error
+        When it began and the standard deviation of that, microseconds; another run may date it a little differently.
     """
 
     kind: str
@@ -63,7 +63,7 @@ class News:
     sentence: str
     content: Mapping[str, Any] = field(default_factory=dict)
     since: Instant | None = None
-    since_error_us: int = 0
+    since_error: int = 0
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -196,16 +196,13 @@ class AlarmStore(Store):
     def _see(self, news: News, known: Sequence[Alarm], used: set[int], now: Instant) -> int:
         """Update the alarm of a problem, or make one."""
         same = [one for one in known if one.number not in used and _is_same(one.news, news)]
-        told = {
-            "sentence": news.sentence, "content": canonical_json(news.content), "since_us": news.since,
-            "since_error_us": news.since_error_us, "seen_us": now, "ended_us": None,
-        }  # fmt: skip
+        own = {**scope_columns(news.scope), "content": canonical_json(news.content)}
+        told = to_row(news, alarm, **own, seen_us=now, ended_us=None)
         if same:
             number = min(same, key=lambda one: _distance(one.news, news)).number
             self._connection.execute(update(alarm).where(alarm.c.id == number).values(told))
             return number
-        row = {"kind": news.kind, **scope_columns(news.scope), "subject": news.subject, "raised_us": now, **told}
-        made = self._connection.execute(alarm.insert().values(row).returning(alarm.c.id))
+        made = self._connection.execute(alarm.insert().values({**told, "raised_us": now}).returning(alarm.c.id))
         return int(made.scalar_one())
 
 
@@ -214,7 +211,7 @@ def _is_same(one: News, other: News) -> bool:
         return False
     if one.since is None or other.since is None:
         return one.since is other.since
-    return is_same_date((one.since, one.since_error_us), (other.since, other.since_error_us))
+    return is_same_date((one.since, one.since_error), (other.since, other.since_error))
 
 
 def _distance(one: News, other: News) -> int:
@@ -229,7 +226,7 @@ def _in_state(state: str, now: Instant) -> Any:
 
 def _value(row: Row[Any]) -> Alarm:
     scope = Scope(row.station, row.antenna, row.dipole)
-    news = from_row(News, row, scope=scope, content=json.loads(row.content), since_error_us=row.since_error_us)
+    news = from_row(News, row, scope=scope, content=json.loads(row.content))
     known = (
         None if row.known_us is None else Acknowledgement(row.known_by, row.known_us, row.known_why, row.known_until_us)
     )

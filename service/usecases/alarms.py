@@ -23,8 +23,8 @@ from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.spectra.screening import LASTING_EVENTS
 from service.storage.alarms import (
     ACKNOWLEDGED,
-    CAUSE_STOPPED_PAYING,
     FAILED_JOB,
+    KINDS,
     LEFT_OUT,
     LOST_C,
     LOST_PATH,
@@ -32,6 +32,7 @@ from service.storage.alarms import (
     NAMED_CAUSE,
     OPEN,
     RETRACTED,
+    SLOPE,
     STALE_DATA,
     STEP,
     Acknowledgement,
@@ -141,9 +142,7 @@ def _tell(station: str, subject: str, years: Sequence[_Named]) -> News:
     return News(NAMED_CAUSE, Scope(station), subject, sentence, content, years[0].made.since)
 
 
-LOOKED_FOR = (
-    LOST_PATH, LEFT_OUT, LOST_C, RETRACTED, STALE_DATA, MISFIT, NAMED_CAUSE, FAILED_JOB, CAUSE_STOPPED_PAYING,
-)  # fmt: skip
+LOOKED_FOR = frozenset(KINDS) - {STEP, SLOPE}
 FAILURES_SINCE_US = 30 * DAY_US
 FAILURES_READ = 200
 NAMES = {

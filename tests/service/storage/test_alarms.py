@@ -51,7 +51,7 @@ def read(factory: Factory, *states: str, now: int = NOW) -> list[Alarm]:
 
 def test_a_problem_is_raised_once_and_seen_again_another_night(factory: Factory) -> None:
     number = raise_alarm(factory, JUMP)
-    later = replace(JUMP, sentence="it jumped, said better", since=NOW - 97 * DAY, since_error_us=DAY)
+    later = replace(JUMP, sentence="it jumped, said better", since=NOW - 97 * DAY, since_error=DAY)
     assert raise_alarm(factory, later, NOW + DAY) == number
     (alarm,) = read(factory)
     assert (alarm.raised, alarm.seen, alarm.news) == (NOW, NOW + DAY, later)
