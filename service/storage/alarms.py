@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 from sqlalchemy import Row, and_, func, or_, select, update
 
@@ -16,6 +16,7 @@ from service.errors import NotFoundError
 from service.schema.tables import alarm
 from service.storage.changes import is_same_date
 from service.storage.rows import Store, equal, from_row, scope_columns, to_row
+from service.wire.answer_models import AlarmKind
 
 STEP = "step"
 SLOPE = "slope"
@@ -28,10 +29,7 @@ MISFIT = "misfit"
 CAUSE_STOPPED_PAYING = "cause_stopped_paying"
 NAMED_CAUSE = "named_cause"
 FAILED_JOB = "failed_job"
-KINDS = (
-    STEP, SLOPE, LOST_PATH, LEFT_OUT, LOST_C, RETRACTED, STALE_DATA, MISFIT, NAMED_CAUSE, CAUSE_STOPPED_PAYING,
-    FAILED_JOB,
-)  # fmt: skip
+KINDS: tuple[str, ...] = get_args(AlarmKind)
 
 OPEN, ACKNOWLEDGED, ENDED = "open", "acknowledged", "ended"
 STATES = (OPEN, ACKNOWLEDGED, ENDED)
