@@ -128,6 +128,9 @@ class SumStore(Store):
 
 # A fit: its lines, and what each of its scopes is served.
 
+ServedKey = tuple[Scope, Instant, Instant]
+"""Who is served something, from when until when."""
+
 
 @dataclass(frozen=True)
 class Served:

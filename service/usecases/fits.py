@@ -41,7 +41,7 @@ from service.storage.changes import Cut
 from service.storage.database import Stores
 from service.storage.ledger import is_of_person
 from service.storage.spectra import Window
-from service.storage.sums import KeptPiece, Served, Sums, name_pieces, read_pieces, write_pieces
+from service.storage.sums import KeptPiece, Served, ServedKey, Sums, name_pieces, read_pieces, write_pieces
 from service.storage.versions import BEHIND, BUDGET, Examined, Version
 from service.usecases.drift import year_of
 from service.usecases.orders import hash_covariates
@@ -528,10 +528,6 @@ SMALLEST_SHIFT = 0.25
 """Due work that moves C by less than this, in standard deviations and in every channel, is no news."""
 LARGEST_REST = 0.5
 """Share of the paths of a station from which on the window is read whole."""
-
-
-ServedKey = tuple[Scope, Instant, Instant]
-"""Who is served something, from when until when."""
 
 
 @dataclass(frozen=True)

@@ -25,14 +25,13 @@ from service.storage.jobs import Order, Part
 from service.storage.ledger import is_of_person
 from service.storage.models import ADOPTED, Gain
 from service.storage.processes import SCHEDULER
-from service.storage.sums import KeptPiece, Served, Sums, read_pieces
+from service.storage.sums import KeptPiece, Served, ServedKey, Sums, read_pieces
 from service.storage.versions import Examined, Version
 from service.usecases.calibrations import find_slow, group_by_antenna, select_paths
 from service.usecases.fits import (
     SMALLEST_SHIFT,
     Fits,
     Made,
-    ServedKey,
     Wanted,
     find_standing,
     is_still_served,

@@ -14,13 +14,13 @@ from lbacal_core.curves.validity import Instant, Promotion, Scope, list_deciding
 from service.storage.database import Stores
 from service.storage.processes import SCHEDULER
 from service.storage.spectra import Window
+from service.storage.sums import ServedKey
 from service.storage.versions import Summary
 from service.usecases.drift import find_years
 
 SHARE = 0.5
 """C of fewer of its events than this is rather that of the others."""
 FLAGGED = "events were flagged since it was made"
-ServedKey = tuple[Scope, Instant, Instant]
 
 
 def find_retracted(stores: Stores, versions: Iterable[Summary]) -> dict[str, str]:
