@@ -24,11 +24,7 @@ from service.usecases.gate import name_members, split_by_size, tell_shapes, tell
 
 # Files of the page under names that hold their hash: a browser may keep them for ever, and never shows an old one.
 
-_FILES = {
-    "page.css": ("page.css", "text/css"),
-    "page.js": ("page.js", "text/javascript"),
-    "icon.svg": ("icon.svg", "image/svg+xml"),
-}
+_FILES = {"page.css": "text/css", "page.js": "text/javascript", "icon.svg": "image/svg+xml"}
 
 
 @dataclass(frozen=True)
@@ -49,7 +45,7 @@ class Asset:
 def load_assets() -> dict[str, Asset]:
     """All files of the page by name."""
     folder = files("service.page") / "static"
-    found = {name: Asset(name, folder.joinpath(path).read_bytes(), media) for name, (path, media) in _FILES.items()}
+    found = {name: Asset(name, folder.joinpath(name).read_bytes(), media) for name, media in _FILES.items()}
     shared = (files("lbacal.pages") / "templates/figures.css").read_bytes()
     return found | {"page.css": replace(found["page.css"], content=shared + found["page.css"].content)}
 
