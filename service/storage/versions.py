@@ -433,19 +433,15 @@ class VersionStore(Store):
     def means(self, ids: Iterable[str]) -> list[MeanC]:
         """Band means of C of the converged curves of versions, in order of their windows."""
         columns = [
-            calibration.c.id, calibration.c.station, calibration.c.antenna, calibration.c.dipole.label("scope_dipole"),
-            calibration.c.since_us, calibration.c.until_us, calibration.c.made_us, calibration.c.events,
-            calibration_mean.c.dipole, calibration_mean.c.c, calibration_mean.c.c_sigma,
-        ]  # fmt: skip
+            *(calibration.c[name] for name in ("id", "scope", "since_us", "until_us", "made_us", "events")),
+            *(calibration_mean.c[name] for name in ("dipole", "c", "c_sigma")),
+        ]
         statement = select(*columns).join(calibration, calibration.c.id == calibration_mean.c.calibration)
         rows = select_many(self._connection, statement, calibration.c.id, ids)
         return [
-            MeanC(
-                row.id, Scope(row.station, row.antenna, row.scope_dipole), row.dipole,
-                row.since_us, row.until_us, row.events, row.c, row.c_sigma,
-            )
+            from_row(MeanC, row, calibration=row.id, scope=parse_scope(row.scope))
             for row in sorted(rows, key=lambda row: (row.since_us, row.made_us, row.dipole))
-        ]  # fmt: skip
+        ]
 
     def _values(self, rows: Sequence[Row[Any]]) -> list[Version]:
         chains = read_chains(self._connection, {row.id: row.reference for row in rows})
