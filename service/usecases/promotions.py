@@ -196,7 +196,7 @@ def _differences(path: Scope, before: Sequence[Stretch], after: Sequence[Stretch
             continue
         last = changes[-1] if changes else None
         if last is not None and (last.end, last.before, last.after) == (start, old, new):
-            changes[-1] = Change(path, last.start, end, old, new, None)
+            changes[-1] = replace(last, end=end)
         else:
             changes.append(Change(path, start, end, old, new, None))
     return changes
@@ -212,8 +212,7 @@ def _with_size(change: Change, versions: dict[str, Version]) -> Change:
     if change.before is None or change.after is None:
         return change
     before, after = (versions[name].serve(change.path, change.start).curve for name in (change.before, change.after))
-    size = compare_curves(before, after)
-    return Change(change.path, change.start, change.end, change.before, change.after, size)
+    return replace(change, curve_change=compare_curves(before, after))
 
 
 # Tags: a name for what the ledger said at an instant, which nobody can change any more.
