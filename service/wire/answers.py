@@ -8,7 +8,7 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from lbacal.instants import format_optional
+from lbacal.instants import format_instant, format_optional
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.provenance import as_json
 from service.errors import NotAcceptableError
@@ -61,9 +61,9 @@ def _find(value: Any, name: str) -> Any:
     return value.get(name, _ABSENT) if isinstance(value, Mapping) else getattr(value, name, _ABSENT)
 
 
-def describe_stretch(start: Instant | None, end: Instant | None, **also: Any) -> dict[str, Any]:
-    """A half-open interval as text, `from` and `to` (None where it is open), with `also`."""
-    return {"from": format_optional(start), "to": format_optional(end), **also}
+def describe_stretch(start: Instant, end: Instant | None) -> dict[str, Any]:
+    """A half-open interval as text, `from` and `to` (None where it is open)."""
+    return {"from": format_instant(start), "to": format_optional(end)}
 
 
 # Which format an answer has: `format=` decides, else the header Accept, as far as we can serve it.
