@@ -12,10 +12,9 @@ from sqlalchemy import Row, and_, func, or_, select, update
 from lbacal.instants import format_instant
 from lbacal_core.curves.validity import Instant, Scope, parse_scope
 from lbacal_core.provenance import canonical_json
-from service.errors import NotFoundError
 from service.schema.tables import alarm
 from service.storage.changes import is_same_date
-from service.storage.rows import Store, equal, from_row, scope_columns, to_row
+from service.storage.rows import Store, equal, from_row, require_one, scope_columns, to_row
 from service.wire.answer_models import AlarmKind
 
 STEP = "step"
@@ -150,10 +149,8 @@ class AlarmStore(Store):
 
     def get(self, number: int) -> Alarm:
         """Get one alarm; `NotFoundError` for an unknown number."""
-        row = self._connection.execute(select(alarm).where(alarm.c.id == number)).one_or_none()
-        if row is None:
-            raise NotFoundError(f"no alarm {number}; GET /v1/alarms lists them")
-        return _value(row)
+        rows = self._connection.execute(select(alarm).where(alarm.c.id == number))
+        return _value(require_one(rows, f"no alarm {number}; GET /v1/alarms lists them"))
 
     def newest(self, asked: AlarmsAsked, now: Instant) -> list[Alarm]:
         """Alarms in some states, newest first."""

@@ -24,9 +24,8 @@ from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import name_path
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.antennas import AntennaRecord
-from service.errors import NotFoundError
 from service.schema.tables import change, change_decision, change_evidence
-from service.storage.rows import Store, equal, from_row, to_row
+from service.storage.rows import Store, equal, from_row, require_one, to_row
 
 KINDS = STEP, RAMP, SEASON, COURSE = "step", "ramp", "season", "course"
 DRIFT, INVESTIGATION, RECORD, PERSON = "drift", "investigation", "record", "person"
@@ -393,9 +392,7 @@ class ChangeStore(Store):
     def get(self, number: int) -> KeptChange:
         """Get one change; `NotFoundError` for an unknown number."""
         found = self._read(select(change).where(change.c.id == number))
-        if not found:
-            raise NotFoundError(f"no change {number}; GET /v1/changes lists them")
-        return found[0]
+        return require_one(found, f"no change {number}; GET /v1/changes lists them")
 
     def cuts(
         self, station: str | None = None, since: Instant | None = None, until: Instant | None = None,

@@ -11,10 +11,10 @@ from sqlalchemy import and_, case, func, or_, select, update
 
 from lbacal_core.curves.validity import Instant
 from lbacal_core.provenance import canonical_json
-from service.errors import ConflictError, NotFoundError
+from service.errors import ConflictError
 from service.schema.tables import HAS_FAILED, HAS_SETTLED, IS_OPEN, job, job_part
 from service.storage.processes import read_database_clock
-from service.storage.rows import Store, from_row, insert_into, to_row
+from service.storage.rows import Store, from_row, insert_into, require_one, to_row
 
 QUEUED, RUNNING, DONE, FAILED, CANCELLED = "queued", "running", "done", "failed", "cancelled"
 OPEN = (QUEUED, RUNNING)
@@ -283,10 +283,7 @@ class JobStore(Store):
 
     def get(self, number: int) -> Job:
         """Get one job by its number; `NotFoundError` for an unknown one."""
-        found = self._with_parts([number])
-        if not found:
-            raise NotFoundError(f"no job {number}; GET /v1/jobs lists them")
-        return found[0]
+        return require_one(self._with_parts([number]), f"no job {number}; GET /v1/jobs lists them")
 
     def records(self, number: int) -> list[Record]:
         """The parts of a job, in their order."""

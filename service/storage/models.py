@@ -17,7 +17,7 @@ from lbacal_core.errors import BadInputError
 from lbacal_core.provenance import canonical_json
 from service.errors import NotFoundError
 from service.schema.tables import investigation, model, model_change, model_gain
-from service.storage.rows import Store, add_rows, equal, from_row, put_rows, to_row
+from service.storage.rows import Store, add_rows, equal, from_row, put_rows, require_one, to_row
 
 # Ids by their first digits, where no other id begins with them.
 
@@ -136,10 +136,8 @@ class ModelStore(Store):
         `NotFoundError` for an unknown one.
         """
         whole = complete_id(self._connection, model.c.id, name, "model")
-        text = self._connection.execute(select(model.c.content).where(model.c.id == whole)).scalar_one_or_none()
-        if text is None:
-            raise NotFoundError(f"no model {name!r}; GET /v1/models lists them")
-        return Model.from_text(text)
+        texts = self._connection.execute(select(model.c.content).where(model.c.id == whole)).scalars()
+        return Model.from_text(require_one(texts, f"no model {name!r}; GET /v1/models lists them"))
 
     def change(self, made: ModelChange) -> ModelChange:
         """Write a line of the ledger, and return it with the number that the database gives it."""
@@ -233,9 +231,7 @@ class InvestigationStore(Store):
     def get(self, name: str) -> Investigation:
         """The investigation of that id or of that beginning of one; `NotFoundError` says where the ids are."""
         found = self.find(complete_id(self._connection, investigation.c.id, name, "investigation"))
-        if found is None:
-            raise NotFoundError(f"no investigation {name!r}; GET /v1/investigations lists them")
-        return found
+        return require_one([found] if found else [], f"no investigation {name!r}; GET /v1/investigations lists them")
 
     def newest(self, *, before: str | None, station: str | None, limit: int) -> Sequence[Investigation]:
         """Investigations from the newest back, those behind the one of the id `before`."""

@@ -11,6 +11,7 @@ from sqlalchemy.dialects.postgresql import insert as postgresql_insert
 from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
 from lbacal_core.curves.validity import Scope
+from service.errors import NotFoundError
 
 Value = TypeVar("Value")
 Rows = Sequence[Mapping[str, Any]]
@@ -50,6 +51,13 @@ def select_many(
     wanted = sorted(set(keys))
     for start in range(0, len(wanted), MANY_KEYS):
         yield from connection.execute(statement.where(column.in_(wanted[start : start + MANY_KEYS])))
+
+
+def require_one(found: Iterable[Value], lacking: str) -> Value:
+    """The first of what was found; `NotFoundError` with a sentence where nothing was."""
+    for one in found:
+        return one
+    raise NotFoundError(lacking)
 
 
 def to_row(value: Any, table: Table, **given: Any) -> dict[str, Any]:

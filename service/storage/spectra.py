@@ -19,9 +19,9 @@ from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
 from lbacal_core.spectra.screening import LASTING_EVENTS, SHARE_OF_STATE, measure_level
 from lbacal_core.spectra.spectra import MAX_COVARIATES, Spectra
-from service.errors import ConflictError, NotFoundError
+from service.errors import ConflictError
 from service.schema.tables import IS_FAR, event, event_flag, event_station, path, receipt, spectrum
-from service.storage.rows import Store, add_rows, equal, insert_into, select_many
+from service.storage.rows import Store, add_rows, equal, insert_into, require_one, select_many
 
 # Spectra as they arrive: each event, covariate and spectrum is stored once, whoever sends it how often.
 #
@@ -595,10 +595,8 @@ class SpectraStore(Store):
 
     def event(self, event_id: str) -> StoredEvent:
         """Get one event by its name; `NotFoundError` for an unknown one."""
-        rows = self._connection.execute(select(event).where(event.c.event_id == event_id)).all()
-        if not rows:
-            raise NotFoundError(f"no event {event_id!r} is stored; GET /v1/events lists them")
-        return self._with_counts(rows)[0]
+        found = self._with_counts(self._connection.execute(select(event).where(event.c.event_id == event_id)).all())
+        return require_one(found, f"no event {event_id!r} is stored; GET /v1/events lists them")
 
     def _with_counts(self, rows: Sequence[Row[Any]]) -> list[StoredEvent]:
         numbers = [row.id for row in rows]

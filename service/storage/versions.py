@@ -29,10 +29,19 @@ from lbacal_core.curves.reference_chain import CableTable, GainSpreads, Referenc
 from lbacal_core.curves.validity import Instant, Scope, parse_scope
 from lbacal_core.errors import name_path
 from lbacal_core.provenance import canonical_json, hash_content
-from service.errors import NotFoundError
 from service.schema.tables import IS_GATED, budget, calibration, calibration_mean, chain_part, examined, promotion
 from service.storage.models import complete_id
-from service.storage.rows import Store, add_rows, equal, from_row, put_rows, scope_columns, select_many, to_row
+from service.storage.rows import (
+    Store,
+    add_rows,
+    equal,
+    from_row,
+    put_rows,
+    require_one,
+    scope_columns,
+    select_many,
+    to_row,
+)
 
 # The reference chains of versions: members and L_ref beside the version, cables and spreads once under their hash.
 
@@ -341,9 +350,7 @@ class VersionStore(Store):
     def get(self, version_id: str) -> Version:
         """One version by its id, or by as many first digits as no other has; `NotFoundError` for an unknown one."""
         found = self.get_many([complete_id(self._connection, calibration.c.id, version_id, "version")])
-        if not found:
-            raise NotFoundError(f"no calibration {version_id!r}; GET /v1/calibrations lists them")
-        return next(iter(found.values()))
+        return require_one(found.values(), f"no calibration {version_id!r}; GET /v1/calibrations lists them")
 
     def get_many(self, ids: Iterable[str]) -> dict[str, Version]:
         """Versions by their ids; unknown ids are left out."""
@@ -492,14 +499,8 @@ class BudgetStore(Store):
 
     def get(self, digest: str) -> dict[str, Any]:
         """Get one budget as JSON values; `NotFoundError` for an unknown hash."""
-        found = self.get_many([digest])
-        if not found:
-            raise NotFoundError(f"no budget {digest!r}; a curve names its own in covariance.systematic.budget")
-        return found[digest]
-
-    def get_many(self, digests: Iterable[str]) -> dict[str, dict[str, Any]]:
-        """Budgets by their hash as JSON values; unknown ones are left out."""
-        return {name: json.loads(text) for name, text in self.get_texts(digests).items()}
+        lacking = f"no budget {digest!r}; a curve names its own in covariance.systematic.budget"
+        return dict(json.loads(require_one(self.get_texts([digest]).values(), lacking)))
 
     def get_texts(self, digests: Iterable[str]) -> dict[str, str]:
         """Budgets by their hash as they are stored, canonical JSON; unknown ones are left out."""

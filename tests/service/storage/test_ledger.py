@@ -297,7 +297,7 @@ def test_a_budget_is_stored_once_and_returns_as_it_was(factory: Factory) -> None
             stores.budgets.add({BUDGET.digest: BUDGET})
     with factory.database.read() as stores:
         assert parse_budget(stores.budgets.get(BUDGET.digest)).digest == BUDGET.digest
-        assert list(stores.budgets.get_many([BUDGET.digest, "0" * 64])) == [BUDGET.digest]
+        assert list(stores.budgets.get_texts([BUDGET.digest, "0" * 64])) == [BUDGET.digest]
 
 
 def test_an_unknown_budget_is_refused(factory: Factory) -> None:

@@ -521,7 +521,7 @@ def test_a_path_that_moves_is_fitted_by_itself_with_the_budget_of_its_station(ye
     version = get_version(year, name)
     with year.database.read() as stores:
         assert version.inputs["budget"] == version.curves[0].covariance.budget
-        assert stores.budgets.get_many([version.inputs["budget"]])
+        assert stores.budgets.get_texts([version.inputs["budget"]])
     again = refit(year, "antenna", promote=False).results[0]
     made = [get_version(year, one) for one in again["calibrations"]]
     whole = next(one for one in made if one.scope == version.scope)
