@@ -85,7 +85,7 @@ class Factory:
     @cached_property
     def calibrations(self) -> Calibrations:
         """In effect on a date, and versions."""
-        return Calibrations(self.database, self.known, self.clock)
+        return Calibrations(self.database, self.known)
 
     @cached_property
     def promotions(self) -> Promotions:

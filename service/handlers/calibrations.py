@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Request, Response
 
-from lbacal.instants import format_instant, parse_at, parse_instant
+from lbacal.instants import format_instant, parse_at
 from lbacal.tables import write_format
 from lbacal_core.curves.curves import OK, STATUSES, UNCERTAIN
 from lbacal_core.curves.validity import Scope
@@ -110,7 +110,7 @@ def list_edges(request: Request, use: UseCases, as_of: str) -> Response:
     The instants at which what `effective` answers about a station may change, as known at `as_of`: between two of
     them it is the same. `station` null is the array's reference chain. `lbacal sync` asks at each.
     """
-    found = use.calibrations.edges(parse_instant("as_of", as_of))
+    found = use.calibrations.edges(use.tags.read_past(as_of))
     instrument = use.known
     antennas = {s: sorted({r.antenna for r in instrument.antennas if r.station == s}) for s in found}
     listed = {station: [format_instant(edge) for edge in edges] for station, edges in found.items()}

@@ -242,7 +242,7 @@ class Tags:
 
     def put(self, name: str, body: TagBody, by: str) -> tuple[Tag, bool]:
         """Freeze the ledger under a name, as it is now or was at `as_of`; the tag, and whether it is new."""
-        wanted = None if body.as_of is None else self._past(body.as_of)
+        wanted = None if body.as_of is None else self.read_past(body.as_of)
         with self.database.write() as stores:
             stores.ledger.lock()
             earlier = stores.tags.find(name)
@@ -261,7 +261,7 @@ class Tags:
     def read_knowledge(self, as_of: str | None, tag: str | None) -> Knowledge:
         """Read the instant of knowledge of a query from its `as_of` or `tag`."""
         if tag is None:
-            instant = None if as_of is None else self._past(as_of)
+            instant = None if as_of is None else self.read_past(as_of)
             return Knowledge(instant, as_of, instant is not None and instant < self.clock() - SETTLED_US)
         if as_of is not None:
             raise BadInputError("tag", "either tag or as_of", "both")
@@ -272,7 +272,8 @@ class Tags:
             raise NotFoundError(f"no tag {offer_name(tag, names)}; GET /v1/tags lists them")
         return Knowledge(found.as_of, format_instant(found.as_of), is_final=True)
 
-    def _past(self, text: str) -> Instant:
+    def read_past(self, text: str) -> Instant:
+        """Read an instant of knowledge, which is not later than now."""
         instant = parse_instant("as_of", text)
         if instant > self.clock():
             raise BadInputError("as_of", "an instant not later than now", format_instant(instant))
