@@ -13,8 +13,8 @@ from lbacal.instants import format_instant
 from lbacal_core.errors import BadInputError, name_path
 from service.errors import ConflictError, NotFoundError, UnauthenticatedError
 from service.factory import Factory
-from service.handlers.jobs import describe_job
-from service.handlers.ledger import TAG_NAME
+from service.handlers.jobs import RUN, describe_job
+from service.handlers.ledger import PROMOTE, TAG_NAME
 from service.handlers.request import FORM_COOKIE, SESSION_COOKIE, InPath, UseCases, require_caller
 from service.handlers.session import Form, read_form
 from service.page.render import render_page
@@ -26,7 +26,6 @@ from service.wire.answers import to_json
 
 router = APIRouter(include_in_schema=False, default_response_class=HTMLResponse)
 NUMBERS, SWITCHES = ("antenna", "finding"), ("promote",)
-PROMOTE, RUN = "calibrations:promote", "refits:run"
 
 
 @dataclass(frozen=True)

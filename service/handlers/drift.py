@@ -14,7 +14,8 @@ from lbacal.instants import DAY_US, SECOND_US, format_instant, parse_instant
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import BadInputError
 from service.factory import Factory
-from service.handlers.ledger import PROMOTE, describe_changes
+from service.handlers.jobs import RUN
+from service.handlers.ledger import PROMOTE, Promoter, describe_changes
 from service.handlers.request import (
     AntennaQuery,
     JobNumber,
@@ -27,6 +28,7 @@ from service.handlers.request import (
     caller_with,
 )
 from service.handlers.routes import Order, acts, ordered, page_of, reads
+from service.page.charts import Span
 from service.storage.alarms import ACKNOWLEDGED, OPEN, STATES, Alarm, AlarmsAsked
 from service.storage.changes import Change, Evidence, KeptChange, concerns
 from service.usecases.calibrations import select_paths
@@ -94,7 +96,7 @@ def describe_slope(slope: Mapping[str, Any]) -> dict[str, Any]:
 
 
 alarms = APIRouter(tags=["alarms"])
-Operator = Annotated[Caller, caller_with("refits:run")]
+Operator = Annotated[Caller, caller_with(RUN)]
 State = Literal["open", "acknowledged", "ended", "lasting", "all"]
 CHOICES = {"lasting": (OPEN, ACKNOWLEDGED), "all": STATES}
 
@@ -145,7 +147,6 @@ def describe_alarm(alarm: Alarm, now: Instant) -> dict[str, Any]:
 # Changes: what changed in paths, who says so, and what people decide about it.
 
 changes = APIRouter(tags=["changes"])
-Promoter = Annotated[Caller, caller_with(PROMOTE)]
 
 
 @reads(changes, "/v1/changes", wire.PathChangesAnswer)
@@ -166,17 +167,12 @@ def list_changes(
     force, until it has ended or is dismissed.
     """
     select_paths(use.known, station, None if station is None else antenna, dipole)
-    start, end = (
-        None if one is None else parse_instant(name, one) for name, one in (("since", since), ("until", until))
-    )
+    ends = (None if one is None else parse_instant(name, one) for name, one in (("since", since), ("until", until)))
+    span = Span(*ends)
     found = [
-        one
-        for one in use.changes.list_all(station)
-        if concerns(one, antenna, dipole)
-        and (start is None or one.change.date >= start)
-        and (end is None or one.change.date < end)
-        and decision in (None, one.decision)
-    ]
+        one for one in use.changes.list_all(station)
+        if concerns(one, antenna, dipole) and span.has(one.change.date) and decision in (None, one.decision)
+    ]  # fmt: skip
     return answer(request, {"changes": [describe_change(one, use) for one in found]})
 
 
@@ -219,9 +215,8 @@ def _describe_evidence(one: Evidence) -> dict[str, Any]:
 def _describe_estimate(of: Change | Evidence) -> dict[str, Any]:
     """The date and the size."""
     size = None if of.size is None else {"value": of.size, "sigma": of.size_sigma or 0.0, "unit": "fraction of C"}
-    if of.date is None or of.sigma is None:
-        return {"at": None, "size": size}
-    return {"at": {"value": format_instant(of.date), "sigma_days": of.sigma / DAY_US}, "size": size}
+    at = None if of.date is None else {"value": format_instant(of.date), "sigma_days": (of.sigma or 0) / DAY_US}
+    return {"at": at, "size": size}
 
 
 def describe_change(kept: KeptChange, use: Factory) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query, Request, Response
 
 from lbacal.instants import format_instant
+from service.handlers.ledger import PROMOTE
 from service.handlers.request import (
     JobNumber,
     Limit,
@@ -40,7 +41,7 @@ def request_refit(
     the scope `calibrations:promote`.
     """
     if order.wanted.promote:
-        require_caller(request, use, "calibrations:promote")
+        require_caller(request, use, PROMOTE)
     done = order.once("refit", lambda: {"job": use.refits.request(order.wanted, order.caller)})
     return answer(request, done, status=202)
 

@@ -55,21 +55,19 @@ def show_log_in(request: Request, address: str, problem: str | None, status: int
 
 @router.get("/log-in")
 def ask_for_key(request: Request, address: str = "/") -> Response:
-    return show_log_in(request, address if _PATH.fullmatch(address) else "/", None, 200)
+    return show_log_in(request, address, None, 200)
 
 
 @router.post("/log-in")
 def log_in(request: Request, use: UseCases, body: Form) -> Response:
     fields = read_form(request, body)
-    address = fields.get("address", "/")
-    address = address if _PATH.fullmatch(address) else "/"
-    key = fields.get("key", "").strip()
+    address, key = fields.get("address", "/"), fields.get("key", "").strip()
     try:
         require_caller(request, use, "read", authorization=f"Bearer {key}")
         session = use.keys.begin_session(key)
     except UnauthenticatedError as error:
         return show_log_in(request, address, str(error))
-    answered = RedirectResponse(address, 303)
+    answered = RedirectResponse(address if _PATH.fullmatch(address) else "/", 303)
     _set_cookie(request, answered, SESSION_COOKIE, session)
     return answered
 
