@@ -403,16 +403,11 @@ class VersionStore(Store):
                 found.setdefault(station, set()).update(instant for instant in instants if instant is not None)
         return found
 
-    def misfits(self) -> dict[tuple[str | None, str, Instant, Instant], list[str]]:
-        """Ids of versions that misfit and have no newer one of their window, by station or None, level and window."""
-        statement = (
-            select(calibration).where(calibration.c.status == MISFIT, ~_has_newer()).order_by(calibration.c.scope)
-        )
-        found: dict[tuple[str | None, str, Instant, Instant], list[str]] = {}
-        for row in self._connection.execute(statement):
-            level = Scope(row.station, row.antenna, row.dipole).level
-            found.setdefault((row.station, level, row.since_us, row.until_us), []).append(row.id)
-        return found
+    def misfits(self) -> list[Summary]:
+        """Versions that misfit and have no newer one of their window, in order of scope."""
+        asked = select(calibration.c.id).where(calibration.c.status == MISFIT, ~_has_newer())
+        found = self.summaries(self._connection.execute(asked).scalars())
+        return sorted(found, key=lambda one: one.scope.key)
 
     def waiting(self, scopes: Iterable[Scope] | None = None, at: Instant | None = None) -> list[Waiting]:
         """List what waits for a human, of all or some scopes, at any or an instant, in the order in which it was made.

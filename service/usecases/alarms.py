@@ -8,6 +8,7 @@ causes that gain too little on new events, work that failed and that nothing mad
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -47,7 +48,7 @@ from service.storage.ledger import pick_answering
 from service.storage.models import Investigation
 from service.storage.processes import SCHEDULER
 from service.storage.spectra import Window
-from service.storage.versions import Version
+from service.storage.versions import Summary, Version
 from service.usecases.drift import year_of
 from service.usecases.gate import name_members
 from service.usecases.retractions import FLAGGED, find_retracted
@@ -325,18 +326,21 @@ def find_lost_c(stores: Stores) -> Iterator[News]:
 def _find_retracted(stores: Stores, standing: Sequence[Promotion]) -> Iterator[News]:
     versions = stores.versions.summaries({one.calibration for one in standing if one.calibration is not None})
     why = find_retracted(stores, versions)
-    own = [one for one in standing if one.calibration in why]
+    own = (one for one in standing if one.calibration in why)
     places = {(one.scope, (one.valid_from + (one.valid_to or one.valid_from)) // 2) for one in own}
-    deciding = {one.calibration for one in stores.ledger.decisive_at(places).values()} if places else set()
+    deciding = {one.calibration for one in stores.ledger.decisive_at(places).values()}
     found: dict[tuple[str | None, Instant, Instant], dict[str, str]] = {}
     for one in versions:
         if one.id in why and one.id in deciding:
             found.setdefault((one.scope.station, one.since, one.until), {})[one.id] = why[one.id]
     for (station, since, until), of_window in found.items():
         window, (name, first) = _name_window(since, until), next(iter(of_window.items()))
+        what, answer, others = f"{len(of_window)} versions in effect are", "answer", "others, or withdraw them"
+        if len(of_window) == 1:
+            what, answer, others = "1 version in effect is", "answers", "another, or withdraw it"
         sentence = (
-            f"{station or 'the array'}, {window}: {len(of_window)} versions in effect are of events that were flagged "
-            f"since, and answer as uncertain ({name[:12]}: {first}): promote others, or withdraw them"
+            f"{station or 'the array'}, {window}: {what} of events that were flagged since, and {answer} as uncertain "
+            f"({name[:12]}: {first}): promote {others}"
         )
         yield News(RETRACTED, Scope(station), window, sentence, {"versions": of_window})
 
@@ -363,11 +367,14 @@ def count_alarms(stores: Stores, now: Instant) -> AlarmCounts:
 
 def _misfits(stores: Stores) -> Iterator[News]:
     """Windows of a station, or of the array, whose newest versions misfit."""
-    for (station, level, since, until), scopes in stores.versions.misfits().items():
+    found = defaultdict[tuple[str | None, str, Instant, Instant], list[Summary]](list)
+    for one in stores.versions.misfits():
+        found[one.scope.station, one.scope.level, one.since, one.until].append(one)
+    for (station, level, since, until), own in found.items():
         window = _name_window(since, until)
-        who = f"{len(scopes)} paths of {station}" if level == "antenna" else (station or "the array")
+        who = _name_paths(str(station), [one.scope for one in own]) if level == "antenna" else station or "the array"
         sentence = f"{who}, {window}: the chain does not describe the spectra within noise and priors (misfit)"
-        content = {"versions": scopes, "since": format_instant(since), "until": format_instant(until)}
+        content = {"versions": [one.id for one in own], "since": format_instant(since), "until": format_instant(until)}
         yield News(MISFIT, Scope(station), f"{level} {window}", sentence, content)
 
 

@@ -164,7 +164,7 @@ def test_a_window_whose_newest_version_misfits_is_an_alarm_until_one_fits(
     factory.alarms.look()
     (told,) = alarms(client, kind="misfit")
     window = "2014-01-01 to 2015-01-01: the chain does not describe the spectra within noise and priors (misfit)"
-    assert told["sentence"] == f"1 paths of CS001, {window}"
+    assert told["sentence"] == f"CS001 antenna 0 X, {window}"
     with factory.database.write() as stores:
         stores.versions.add([replace(new_version(path, "fits again"), made=clock.now + 1)])
     factory.alarms.look()
