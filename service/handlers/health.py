@@ -54,7 +54,7 @@ def get_status(request: Request, use: UseCases) -> Response:
     after which due work is tried again.
     """
     stopped = [one.sentence for one in use.models.stopped()]
-    waiting = [cut.warning for one in use.changes.waiting() for cut in one.cuts]
+    waiting = [cut.warning for one in use.changes.list_all() if not one.is_refitted for cut in one.cuts]
     return answer(request, describe_status(use.status.look(), use.investigations.news(), stopped, waiting))
 
 

@@ -394,25 +394,22 @@ class ChangeStore(Store):
         found = self._read(select(change).where(change.c.id == number))
         return require_one(found, f"no change {number}; GET /v1/changes lists them")
 
-    def cuts(
-        self, station: str | None = None, since: Instant | None = None, until: Instant | None = None,
-        as_of: Instant | None = None,
-    ) -> list[Cut]:  # fmt: skip
+    def cuts(self, station: str | None = None, since: Instant | None = None, until: Instant | None = None) -> list[Cut]:
         """Where windows are cut, inside a window, in order of station, antenna and date."""
-        found = [cut for one in self.kept(station, as_of) for cut in one.cuts]
+        found = [cut for one in self.kept(station) for cut in one.cuts]
         inside = [cut for cut in found if (since is None or cut.date > since) and (until is None or cut.date < until)]
         return _sort_cuts(inside)
 
-    def of_fits(self, station: str | None) -> tuple[Cut, ...]:
-        """List what changed of a station or of all, slow changes of single antennas too."""
+    def of_fits(self, station: str | None) -> tuple[list[Cut], list[Cut]]:
+        """List what changed of a station or of all, slow changes of single antennas too; and what cuts no window.
+
+        That are the steps in force whose dates are not known well enough.
+        """
         kept = self.kept(station)
         ranked = sorted(kept, key=lambda one: one.rank)
         slow = {(one.change.kind, cut.station, cut.antenna, cut.dipoles): cut for one in ranked for cut in one.follows}
-        return *_sort_cuts(cut for one in kept for cut in one.cuts), *slow.values()
-
-    def undated(self, station: str | None) -> list[Cut]:
-        """The steps in force that cut no window, as their dates are not known well enough."""
-        return _sort_cuts(step for one in self.kept(station) if not one.cuts for step in one.steps)
+        undated = _sort_cuts(step for one in kept if not one.cuts for step in one.steps)
+        return [*_sort_cuts(cut for one in kept for cut in one.cuts), *slow.values()], undated
 
     def last_act(self, station: str | None, since: Instant, until: Instant) -> list[int]:
         """How many sources of changes in a window ended, and the number of the last decision: nothing where none did.

@@ -103,10 +103,6 @@ class Changes:
         with self.database.read() as stores:
             return mark_refitted(stores, stores.changes.kept(station), self.instrument.dipoles)
 
-    def waiting(self, station: str | None = None) -> list[KeptChange]:
-        """The changes, of all stations or of one, that cut windows which are not yet refitted."""
-        return [one for one in self.list_all(station) if not one.is_refitted]
-
     def enter(self, body: ChangeBody, by: str) -> KeptChange:
         """Put on record and into force what a person knows: of a change that was found, or of a new one."""
         change, now = self._read(body), self.clock()

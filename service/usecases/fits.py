@@ -506,12 +506,11 @@ FitOf = Callable[[str, Scope, Instant, Instant], Wanted]
 
 def read_fits(stores: Stores, station: str | None) -> FitOf:
     """The fits of a station, or of the array, with the model that is adopted and the changes that are in force."""
-    adopted, changed = stores.models.of_station(station), stores.changes.of_fits(station)
-    undated = stores.changes.undated(station)
+    adopted, of_changes = stores.models.of_station(station), stores.changes.of_fits(station)
 
     def fit_of(scope: str, of: Scope, since: Instant, until: Instant) -> Wanted:
         model = adopted.during(since / SECOND_US, until / SECOND_US)
-        before = (tuple(one for one in some if one.begins_before(until)) for some in (changed, undated))
+        before = (tuple(one for one in some if one.begins_before(until)) for some in of_changes)
         return Wanted(scope, of, since, until, model, "", "", *before)
 
     return fit_of
