@@ -67,7 +67,7 @@ class Factory:
         return load_instrument(self.settings.instrument)
 
     @cached_property
-    def known(self) -> Instrument:
+    def full_instrument(self) -> Instrument:
         """The instrument with all antennas that ever sent spectra: what was answered for one stays an answer.
 
         Those that its file has no more have some cable: what reads this asks for names and dates alone.
@@ -85,12 +85,12 @@ class Factory:
     @cached_property
     def calibrations(self) -> Calibrations:
         """In effect on a date, and versions."""
-        return Calibrations(self.database, self.known)
+        return Calibrations(self.database, self.full_instrument)
 
     @cached_property
     def promotions(self) -> Promotions:
         """The ledger."""
-        return Promotions(self.database, self.known, self.clock)
+        return Promotions(self.database, self.full_instrument, self.clock)
 
     @cached_property
     def tags(self) -> Tags:
@@ -153,7 +153,7 @@ class Factory:
     @cached_property
     def drift(self) -> Drift:
         """C over time."""
-        return Drift(self.database, self.known, Remembered(8))
+        return Drift(self.database, self.full_instrument, Remembered(8))
 
     @cached_property
     def drift_measurement(self) -> DriftMeasurement:
@@ -165,14 +165,14 @@ class Factory:
     @cached_property
     def changes(self) -> Changes:
         """Changes of paths, and the decisions on them."""
-        return Changes(self.database, self.known, self.promotions, lambda: self.fits, self.clock)
+        return Changes(self.database, self.full_instrument, self.promotions, lambda: self.fits, self.clock)
 
     @cached_property
     def lives(self) -> Lives:
         """All that happened to a path."""
         from service.usecases.life import Lives
 
-        return Lives(self.database, self.known, self.changes, self.models, self.alarms)
+        return Lives(self.database, self.full_instrument, self.changes, self.models, self.alarms)
 
     @cached_property
     def watch(self) -> Watch:

@@ -79,7 +79,7 @@ def get_in_effect(
     if is_whole:
         written = use.calibrations.answer_all(instant, partial(write_answer, use))
     else:
-        paths = select_scope(use.known, scope, station, antenna, dipole)
+        paths = select_scope(use.full_instrument, scope, station, antenna, dipole)
         found = use.calibrations.in_effect(instant, paths, known.as_of, hold=gap == "hold")
         wanted = [curve for curve in found.curves if dipole in (None, curve.dipole)]
         written = write_answer(use, replace(found, curves=wanted))
@@ -111,7 +111,7 @@ def list_edges(request: Request, use: UseCases, as_of: str) -> Response:
     them it is the same. `station` null is the array's reference chain. `lbacal sync` asks at each.
     """
     found = use.calibrations.edges(use.tags.read_past(as_of))
-    instrument = use.known
+    instrument = use.full_instrument
     antennas = {s: sorted({r.antenna for r in instrument.antennas if r.station == s}) for s in found}
     listed = {station: [format_instant(edge) for edge in edges] for station, edges in found.items()}
     stations = [
@@ -137,7 +137,7 @@ def list_versions(
 
     In order of id, without their curves; `next` is the cursor of the next page.
     """
-    select_paths(use.known, station, antenna, dipole)
+    select_paths(use.full_instrument, station, antenna, dipole)
     is_everything = (scope, station, antenna, dipole) == (None, None, None, None)
     wanted = None if is_everything else Scope(station, antenna, dipole)
     versions = use.database.look(lambda stores: stores.versions.search(wanted, status, cursor, limit))

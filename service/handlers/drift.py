@@ -53,7 +53,7 @@ def get_drift(
     of it, the changes beside the station or the other stations, the most significant first, and the slope with its
     error.
     """
-    select_paths(use.known, station, antenna, dipole)
+    select_paths(use.full_instrument, station, antenna, dipole)
     if (antenna is None) != (dipole is None):
         raise BadInputError("query", "antenna and dipole together, or neither", "one of them")
     return answer(request, describe_series(use.drift.series(Scope(station, antenna, dipole))))
@@ -166,7 +166,7 @@ def list_changes(
     entered is in force at once, what an investigation alone found is proposed. Windows are cut where a step is in
     force, until it has ended or is dismissed.
     """
-    select_paths(use.known, station, None if station is None else antenna, dipole)
+    select_paths(use.full_instrument, station, None if station is None else antenna, dipole)
     ends = (None if one is None else parse_instant(name, one) for name, one in (("since", since), ("until", until)))
     span = Span(*ends)
     found = [
@@ -225,10 +225,10 @@ def describe_change(kept: KeptChange, use: Factory) -> dict[str, Any]:
     paths = [{"station": change.station, "antenna": antenna, "dipole": dipole} for antenna, dipole in change.paths]
     return fill_answer(
         wire.PathChangeAnswer, kept, change, id=kept.number, paths=paths or None, array=change.station is None,
-        **_describe_estimate(change), shape=change.shape(use.known.frequency_mhz),
+        **_describe_estimate(change), shape=change.shape(use.instrument.frequency_mhz),
         evidence=[_describe_evidence(one) for one in kept.evidence],
         by=first.source if said is None else said.by,
         reason=f"found by {first.source}" if said is None else said.reason,
-        in_words=tell_size(change, use.known.frequency_mhz),
+        in_words=tell_size(change, use.instrument.frequency_mhz),
         cuts_windows=bool(kept.cuts),
     )  # fmt: skip

@@ -265,7 +265,7 @@ def show_models(request: Request, use: UseCases, span: InSpan) -> Response:
 
 @router.get("/stations/{station}")
 def show_station(request: Request, use: UseCases, station: InPath, span: InSpan, csv: CsvQuery = "") -> Response:
-    select_paths(use.known, station, None, None)
+    select_paths(use.full_instrument, station, None, None)
     series, life = use.drift.series(Scope(station)), use.lives.of(station)
     years = [str(year.matrix) for year in use.database.look(lambda stores: stores.drift.years([station]))]
     at = _last_shown(use, span)
@@ -307,7 +307,7 @@ def _published(use: Factory) -> dict[str, Any]:
 def find_path(
     use: UseCases, span: InSpan, station: str, antenna: AntennaQuery, dipole: str, at: str = ""
 ) -> RedirectResponse:
-    (path,) = select_paths(use.known, station, antenna, dipole)
+    (path,) = select_paths(use.full_instrument, station, antenna, dipole)
     address = f"/paths/{path.station}/{path.antenna}/{path.dipole}{span.with_more(at=at)}"
     return RedirectResponse(address, status.HTTP_303_SEE_OTHER)
 
@@ -317,7 +317,7 @@ def show_path(
     request: Request, use: UseCases, station: InPath, antenna: int, dipole: InPath, span: InSpan, at: str = "",
     csv: CsvQuery = "",
 ) -> Response:  # fmt: skip
-    (path,) = select_paths(use.known, station, antenna, dipole)
+    (path,) = select_paths(use.full_instrument, station, antenna, dipole)
     series, life = use.drift.series(path), use.lives.of(station, antenna, dipole)
     instant = parse_instant("at", at) if at else _last_shown(use, span)
     try:

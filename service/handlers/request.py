@@ -70,7 +70,7 @@ UseCases = Annotated[Factory, Depends(_provide_factory)]
 
 
 async def _require_station(use: UseCases, station: str | None = None) -> str | None:
-    select_paths(use.known, station, None, None)
+    select_paths(use.full_instrument, station, None, None)
     return station
 
 
