@@ -187,6 +187,11 @@ class Model:
         """SHA-256 (hex) of the text."""
         return hash_content(self._content)
 
+    @cached_property
+    def by_id(self) -> dict[str, AdoptedCause]:
+        """Its causes, each by the id of the model that has it alone."""
+        return {Model((one,)).id: one for one in self.causes}
+
     @classmethod
     def from_dicts(cls, causes: Iterable[Mapping[str, Any]]) -> Model:
         """A model of causes as `AdoptedCause.as_dict` gives them."""

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
 
-from lbacal_core.causes.model import AdoptedCause, Model
+from lbacal_core.causes.model import AdoptedCause
 from service.handlers.jobs import RUN
 from service.handlers.ledger import PROMOTE, Reasoned, describe_changes
 from service.handlers.request import IMMUTABLE, InPath, Limit, StationQuery, UseCases, Whole, answer
@@ -87,7 +87,7 @@ def withdraw_model(request: Request, use: UseCases, order: Reasoned, name: InPat
 
 def describe_model(one: AdoptedModel) -> dict[str, Any]:
     """A line of the ledger of models as JSON values of `ModelLine`."""
-    causes = [describe_cause(cause, one.gains.get(Model((cause,)).id, ())) for cause in one.model.causes]
+    causes = [describe_cause(cause, one.gains.get(name, ())) for name, cause in one.model.by_id.items()]
     return fill_answer(
         wire.ModelLine, one.change, one, id=one.change.model, changed=one.changed.sentence, causes=causes
     )

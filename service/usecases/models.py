@@ -164,10 +164,9 @@ class Models:
             stores.ledger.lock()
             adopted = self._adoption_of(stores, name)
             before = stores.models.current().of_stations([adopted.station])
-            number = next((k for k, one in enumerate(before.causes) if Model((one,)).id == adopted.cause), None)
-            if number is None:
+            if adopted.cause not in before.by_id:
                 raise ConflictError(f"{adopted.station} no longer has the cause that made model {adopted.model[:12]}")
-            model = before.without(number)
+            model = before.without(list(before.by_id).index(adopted.cause))
             back = {
                 key: Announced(-one.fraction / (1 + one.fraction), one.sigma) for key, one in adopted.announced.items()
             }
@@ -246,8 +245,7 @@ class Models:
             )
             for one in self.history()
             if one.is_in_effect
-            for cause in one.model.causes
-            for name in [Model((cause,)).id]
+            for name, cause in one.model.by_id.items()
             for gain in list(one.gains.get(name, ()))[-1:]
             if gain.has_stopped_paying
         ]  # fmt: skip
@@ -260,28 +258,23 @@ def _adopt(before: Model, made: Investigation, number: int | str) -> tuple[Model
     """
     report = made.report
     of_report = Model() if report.get("model") is None else Model.from_text(report["model"])
-    if not set(_ids(of_report)) <= set(_ids(before)):
+    if not of_report.by_id.keys() <= before.by_id.keys():
         raise ConflictError(
             f"investigation {made.id[:12]} was made with a cause that {made.station} no longer has: investigate again"
         )
-    known = set(_ids(before))
     try:
         model = before.adopt(report, number, made.since // 1_000_000)
-        cause = next(one for one in model.causes if Model((one,)).id not in known)
+        cause = next(one for name, one in model.by_id.items() if name not in before.by_id)
         Model((cause,)).require_one_c("body.finding")
     except BadInputError as error:
         raise BadInputError("body.finding", error.expected, error.found) from error
     return model, cause
 
 
-def _ids(model: Model) -> list[str]:
-    return [Model((cause,)).id for cause in model.causes]
-
-
 def _has(version: Version | None, cause: str) -> bool:
     """Whether there is a version and it was fitted with a cause."""
     text = None if version is None else version.inputs.get("settings", {}).get("model")
-    return text is not None and cause in _ids(Model.from_text(text))
+    return text is not None and cause in Model.from_text(text).by_id
 
 
 def _name_within(current: Model, version: Version) -> str | None:

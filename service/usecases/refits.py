@@ -475,7 +475,7 @@ def measure_payoff(
     spectra = leave_out_changed(whole.recorded, simulation.instrument) if known_until else None
     if not isinstance(spectra, Spectra):
         return found
-    names = [Model((cause,)).id for cause in whole.model.causes]
+    names = list(whole.model.by_id)
     for last in sorted({known_until[name] for name in names if name in known_until}):
         is_new = spectra.time_unix > last / SECOND_US
         if not (is_new.any() and whole.stations):
