@@ -223,6 +223,29 @@ def harmonics(turns: Floats, number: int) -> Floats:
     return np.stack([np.cos(angles), np.sin(angles)], axis=1).reshape(2 * number, -1)
 
 
+MOST_CYCLES, CYCLES_PER_STEP = 40.0, 0.5
+"""Cycles in the data up to which a free period is tried, and how many of them lie between two periods: half way between
+two a wave keeps 0.9 of itself, the sinc of 1/4."""
+
+
+def _days_of(conditions: Conditions) -> tuple[float, float]:
+    """Length and middle of the data, days since 1970."""
+    return float(np.ptp(conditions.time_unix)) / DAY_S, float(np.mean(conditions.time_unix)) / DAY_S
+
+
+def _cycle(conditions: Conditions, days: float, highest: float) -> Floats:
+    return np.asarray(np.cos(2.0 * np.pi * (conditions.time_unix / (days * DAY_S) - highest)))
+
+
+def _cycles(conditions: Conditions) -> list[tuple[float, float]]:
+    """Free periods, from two and a half cycles on: those of clocks, and of the whole, are waves."""
+    if not conditions.has_dates or np.unique(conditions.time_unix // DAY_S).size < FEWEST_DAYS:
+        return []
+    span_d, middle_d = _days_of(conditions)
+    periods = [float(f"{span_d / k:.6g}") for k in np.arange(2.5, MOST_CYCLES, CYCLES_PER_STEP)]
+    return [(days, float(f"{(middle_d / days + phase / 6.0) % 1.0:.4g}")) for days in periods for phase in range(3)]
+
+
 HOURS = np.arange(0.0, 1.0, 1 / 240)
 """Phases over which a series is largest somewhere, turns."""
 
@@ -376,6 +399,7 @@ COURSES: dict[str, Kind] = {
         "(t - {0}) / yr",
     ),
     "wave": Kind(_wave, _waves, "", "cos 2 pi {1:g} ({0} - {2:.3g})", (0.0, 0.0, 1 / 12)),
+    "cycle": Kind(_cycle, _cycles, "", "cos 2 pi (t / {0:g} d - {1:.3g})", (CYCLES_PER_STEP, 1 / 6)),
     SERIES: Kind(_series, _never, "", ""),
     "near": Kind(_near, _spells, "", "exp(-({0} - {1:.3g})^2 / 2 {2:.2g}^2)", (0.0, 1 / 12, 0.06)),
     "hours": Kind(
@@ -560,22 +584,28 @@ def finer(kinds: Mapping[str, Kind], form: Form, conditions: Conditions, share: 
     moved += [(*form[:2], level) for level in _levels(conditions, form)]
     unit = _span(conditions) if form[0] in IN_MHZ else form[4] if form[0] == "column" else 1.0
     for k, step in enumerate(kinds[form[0]].steps, start=1):
+        if form[0] == "cycle" and k == 1:
+            unit = form[1] ** 2 / _days_of(conditions)[0]
         for part in FINER if step else ():
             value = form[k] + part * share * step * unit / (form[2] if form[0] == "wave" else 1.0)
             moved.append((*form[:k], float(f"{value:.10g}"), *form[k + 1 :]))
+        unit = 1.0 if form[0] == "cycle" else unit
     if form[0] in ("between", "hours"):  # beginning and length together: one number undoes what another does
         moved = [(form[0], *both) for both in product(*(dict.fromkeys(one[k] for one in moved) for k in (1, 2)))]
     low, high = conditions.frequency_mhz[[0, -1]]
     if form[0] == "ripple":  # the phase in the middle of the band stays likewise
         middle = 0.5 * (low + high)
         moved = [(*one[:2], float(f"{(one[2] + (one[1] - form[1]) * middle) % 1.0:.10g}")) for one in moved]
+    if form[0] == "cycle":  # and so does that in the middle of the data
+        middle = _days_of(conditions)[1]
+        moved = [(*one[:2], float(f"{(one[2] + middle / one[1] - middle / form[1]) % 1.0:.10g}")) for one in moved]
     return [form, *(one for one in dict.fromkeys(moved) if one != form and _is_sensible(one, low, high))]
 
 
 def _is_sensible(form: Form, low_mhz: float, high_mhz: float) -> bool:
     if form[0] in ("below", "above"):
         return bool(form[2] > 0 and low_mhz + 2 * form[2] < form[1] < high_mhz - 2 * form[2])
-    positive = {"band": 2, "near": 3, "hours": 2, "ripple": 1, "between": 2, "late": 1}
+    positive = {"band": 2, "near": 3, "hours": 2, "ripple": 1, "between": 2, "late": 1, "cycle": 1}
     return form[:2] != ("power", 0.0) and (form[0] not in positive or form[positive[form[0]]] > 0)
 
 
@@ -880,6 +910,8 @@ def _check(kinds: Mapping[str, Kind], form: Form) -> None:
         _unix(numbers[0])
     if (name == SERIES and len(numbers) % 2 != 1) or (name in (SERIES, CURVE) and not any(numbers[1:])):
         raise ValueError(numbers)
+    if name == "cycle" and not numbers[0] > 0.0:
+        raise ValueError(numbers[0])
     if name == "wet" and numbers[0] not in ("flag", "saturating", "linear"):
         raise ValueError(numbers[0])
 
@@ -900,6 +932,8 @@ def opposite(template: Template) -> Template | None:
         return sentence(place, law, (COMPLEMENTS[course[0]], *course[1:]))
     if course[0] == SERIES:
         return sentence(place, law, (*course[:2], *(-one for one in course[2:])))
+    if course[0] == "cycle":
+        return sentence(place, law, (*course[:2], (course[2] + 0.5) % 1.0))
     if course[0] != "wave":
         return None
     _, clock, number, highest = course
@@ -928,6 +962,9 @@ def _say(kinds: Mapping[str, Kind], form: Form) -> str:
         clock, number, highest = numbers
         several = "a wave" if number == 1 else f"{number:g} waves"
         return f"in {several} a {_CALLED[clock]}, highest at {_time_of(clock, highest % (1.0 / number))}"
+    if name == "cycle":
+        days, highest = numbers
+        return f"in a wave of {days:.4g} days, highest at day {days * highest:.1f} of it ({_SINCE.format(days)})"
     if name == SERIES:
         clock, *of_harmonics = numbers
         highest = HOURS[np.argmax(np.asarray(of_harmonics) @ harmonics(HOURS, len(of_harmonics) // 2))]
@@ -941,6 +978,7 @@ def _say(kinds: Mapping[str, Kind], form: Form) -> str:
     return kinds[name].words.format(*numbers)
 
 
+_SINCE = "days since 1970-01-01 modulo {0:g}"
 _CALLED = {SIDEREAL: "sidereal day", SOLAR: "UTC day"}
 _CALLED |= {name: name for name in (WEEK, YEAR, ROTATION, LUNATION)}
 
@@ -951,7 +989,7 @@ def _time_of(clock: str, turns: float) -> str:
         return f"{24.0 * turns:.1f} h {clock}"
     since = {WEEK: "of the week, from Monday", YEAR: "of the year"}
     day = PERIODS_D[clock] * turns
-    return f"day {day:.1f} {since.get(clock, f'of the {clock} (days since 1970-01-01 modulo {PERIODS_D[clock]:g})')}"
+    return f"day {day:.1f} {since.get(clock, f'of the {clock} ({_SINCE.format(PERIODS_D[clock])})')}"
 
 
 def _write(kinds: Mapping[str, Kind], form: Form) -> str:

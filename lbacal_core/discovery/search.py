@@ -21,7 +21,7 @@ from lbacal_core.causes.model import PLAIN, Model
 from lbacal_core.discovery.adopted import FittedSize, fit_adopted
 from lbacal_core.discovery.antennas import AntennaScore, compare_antennas, compare_cable_names, why_no_comparison
 from lbacal_core.discovery.baseline import leave_out_deaf, select_paths
-from lbacal_core.discovery.describe import Description, describe_structure
+from lbacal_core.discovery.describe import Described, Description, describe_structure
 from lbacal_core.discovery.findings import (
     Finding,
     Grown,
@@ -214,6 +214,8 @@ def put_into_words(report: StationReport, seed: int = 0) -> StationReport:
             similar = [*report.similar, *report.findings]
             report, description = replace(report, findings=[], similar=similar), alone
     rest = None if report.rest is None else put_into_words(report.rest, seed)
+    if rest is not None and _say_of_one([*description.sentences[:1], *rest.description.sentences[:1]]):
+        rest = None  # what was seen in two antennas is said of one
     parts = [description] if rest is None else [description, rest.description]
     whole = {target.label: target for target in targets}
     said = [one.hypothesis for part in parts for one in part.sentences[:1] if one.hypothesis.target.label in whole]
@@ -223,6 +225,11 @@ def put_into_words(report: StationReport, seed: int = 0) -> StationReport:
     if len(seen) < len(report.findings):  # what was left beside a name that goes is not the structure
         return put_into_words(replace(report, findings=seen, similar=similar), seed)
     return replace(report, description=description, rest=rest)
+
+
+def _say_of_one(sentences: Sequence[Described]) -> bool:
+    """Whether two sentences are of one target."""
+    return len(sentences) > 1 and len({one.hypothesis.target.label for one in sentences}) == 1
 
 
 def _is_likelier(alone: Description, beside: Description, report: StationReport) -> bool:

@@ -190,6 +190,34 @@ def test_four_days_of_a_year_try_no_wave_of_many_days(conditions):
     assert {clock for clock, *_ in COURSES["wave"].grid(conditions)} > {SIDEREAL, SOLAR, WEEK}
 
 
+def test_no_period_falls_between_those_that_are_tried(conditions):
+    """6 % in waves of 47 days were said of no course: only clocks had waves."""
+    year = replace(conditions, time_unix=np.sort(conditions.time_unix))
+    span_d = np.ptp(year.time_unix) / DAY_S
+    tried = np.array([course_of(year, ("cycle", *one)) for one in COURSES["cycle"].grid(year)])
+    tried /= np.linalg.norm(tried, axis=1)[:, None]
+    periods = span_d / np.linspace(2.5, 39.5, 200)
+    turns = year.time_unix / DAY_S / periods[:, None]
+    waves = np.cos(2 * np.pi * (turns - np.arange(0.0, 0.5, 0.125)[:, None, None]))
+    waves /= np.linalg.norm(waves, axis=-1)[..., None]
+    assert np.abs(waves @ tried.T).max(axis=-1).min() > 0.6
+    assert COURSES["cycle"].grid(replace(year, time_unix=np.full(200, np.nan))) == []
+
+
+def test_a_wave_of_another_period_keeps_its_phase_in_the_middle_of_the_data(conditions):
+    one = ("cycle", 47.0, 0.3)
+    middle = replace(conditions, time_unix=np.full(200, conditions.time_unix.mean()))
+    moved = [form for form in finer(COURSES, one, conditions) if form[1] != 47.0]
+    assert len(moved) == 6
+    for form in moved:
+        np.testing.assert_allclose(course_of(middle, form), course_of(middle, one), atol=1e-6)
+    turned = parts_of(opposite(sentence("front", ("flat",), one)))[2]
+    np.testing.assert_allclose(course_of(conditions, turned), -course_of(conditions, one), atol=1e-9)
+    assert in_words(sentence("front", ("flat",), one)).endswith(
+        "in a wave of 47 days, highest at day 14.1 of it (days since 1970-01-01 modulo 47)"
+    )
+
+
 def test_an_unknown_column_counts_as_nothing(conditions):
     warm = conditions.covariates["temperature_c"].copy()
     warm[:7] = np.nan
@@ -305,6 +333,7 @@ def test_what_follows_dates_is_a_change_and_no_part_of_a_model_of_one_c(course, 
         {"law": ["flat", 3.0]},
         {"course": ["step", "yesterday"]},
         {"course": ["wet", "damp"]},
+        {"course": ["cycle", 0.0, 0.2]},
         {"course": ["product", ["day"]]},
     ],
 )

@@ -19,6 +19,7 @@ from lbacal_core.discovery.search import search_station
 from lbacal_core.discovery.sentences import ScoredSentence, estimate_sentence, likeliest_sentences
 from lbacal_core.discovery.station import gather_stations
 from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.faults.composed import Composed
 from lbacal_twin.faults.fault import Where
 from lbacal_twin.faults.hardware import Compression, GainStep
 from lbacal_twin.faults.sky import DipoleSwap, IonosphericAbsorption, LstOffset, RfiBroadband
@@ -121,6 +122,22 @@ def test_absorption_in_some_nights_of_a_solar_rotation_is_a_product_of_two_cours
     assert near[1] == "solar rotation"
     assert near[2] % 1.0 == pytest.approx(0.5, abs=0.06)
     assert ("night",) in course[1:]
+
+
+@pytest.mark.long
+def test_a_wave_of_a_period_that_no_clock_has_is_said_with_it(spoil, simulation):
+    """6 % in waves of 47 days in one antenna were 23 days in February, and structure of another antenna."""
+    wave = Composed(
+        size=0.06, place="gain", law=("level", ()), courses=(("wave", (47.0, 0.3)),), where=Where(antennas=(3,))
+    )
+    report, (found,) = investigate(spoil(wave), simulation)
+    first = report["unexplained"]["sentences"][0]
+    name, days, _ = first["parameters"]["course"]
+    assert (name, first["target"]) == ("cycle", "antenna 3")
+    assert days == pytest.approx(47.0, abs=0.5)
+    assert abs(abs(first["size"]["value"]) - 0.06) < 4 * first["size"]["sigma"]
+    assert found.rest is None
+    assert "a wave of 4" in report["unexplained"]["in_words"]
 
 
 @pytest.mark.long

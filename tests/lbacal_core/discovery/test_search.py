@@ -128,7 +128,7 @@ class Put:
     similar: tuple = ()
     said: tuple = ()
     description: Description | None = None
-    rest: None = None
+    rest: object = None
     first: None = None
     station: None = None
     policy: None = None
@@ -148,6 +148,21 @@ def test_structure_is_described_again_without_a_name_that_its_sentence_takes_bac
     report = search.put_into_words(Put([goes, stands]))
     assert (report.findings, report.similar) == ([stands], [goes])
     assert report.description.remains == ["stands"], "the model without the other"
+
+
+def test_what_two_antennas_show_is_said_once_if_both_sentences_are_of_one(monkeypatch):
+    """A wave in antenna 3 was seen in antenna 0 as well, and said of antenna 3 twice."""
+    one, other = (Target("antenna", f"antenna {k}", np.arange(2) == k) for k in range(2))
+    said = {"first": one, "second": one, "third": other}
+
+    def describe(_, structure, *__):
+        return Description([SimpleNamespace(hypothesis=Hypothesis(None, Template(), said[structure], 1.0))])
+
+    monkeypatch.setattr(search, "_with", lambda _, hypotheses: hypotheses)
+    monkeypatch.setattr(search, "list_targets", lambda _: [one, other])
+    monkeypatch.setattr(search, "describe_structure", describe)
+    assert search.put_into_words(Put([], "first", rest=Put([], "second"))).rest is None
+    assert search.put_into_words(Put([], "first", rest=Put([], "third"))).rest.description.sentences
 
 
 @pytest.mark.long
