@@ -17,6 +17,7 @@ from lbacal import tables
 from lbacal_core.audit import audit
 from lbacal_core.audit.verdict import Line
 from lbacal_core.causes.catalogue import ANTENNA_CAUSES, CAUSES
+from lbacal_core.causes.grammar import COURSES, PLACES
 from lbacal_core.curves.curves import CalibrationCurve, FitReport, parse_curve
 from lbacal_core.curves.reference_chain import CableTable, GainSpread, GainSpreads, ReferenceChain
 from lbacal_core.discovery import curve_search as report_of_curve
@@ -226,3 +227,9 @@ def test_the_examples_of_unfolding_run(repository: Path) -> None:
     blocks = re.findall(r"^```python\n(.*?)^```", page.split("## Field")[1].split("\n## ")[0], re.MULTILINE | re.DOTALL)
     assert len(blocks) == 2
     exec("\n".join(blocks), {})  # noqa: S102  (our own page)
+
+
+def test_the_page_counts_the_parts_of_sentences(repository: Path) -> None:
+    page = (repository / "docs/explanation/what-the-simulation-gets-wrong.md").read_text()
+    assert f"a place ({len(PLACES)})" in page
+    assert f"a course in time ({len(COURSES)} kinds:" in page
