@@ -584,12 +584,10 @@ def finer(kinds: Mapping[str, Kind], form: Form, conditions: Conditions, share: 
     moved += [(*form[:2], level) for level in _levels(conditions, form)]
     unit = _span(conditions) if form[0] in IN_MHZ else form[4] if form[0] == "column" else 1.0
     for k, step in enumerate(kinds[form[0]].steps, start=1):
-        if form[0] == "cycle" and k == 1:
-            unit = form[1] ** 2 / _days_of(conditions)[0]
+        own = form[1] ** 2 / _days_of(conditions)[0] if (form[0], k) == ("cycle", 1) else unit
         for part in FINER if step else ():
-            value = form[k] + part * share * step * unit / (form[2] if form[0] == "wave" else 1.0)
+            value = form[k] + part * share * step * own / (form[2] if form[0] == "wave" else 1.0)
             moved.append((*form[:k], float(f"{value:.10g}"), *form[k + 1 :]))
-        unit = 1.0 if form[0] == "cycle" else unit
     if form[0] in ("between", "hours"):  # beginning and length together: one number undoes what another does
         moved = [(form[0], *both) for both in product(*(dict.fromkeys(one[k] for one in moved) for k in (1, 2)))]
     low, high = conditions.frequency_mhz[[0, -1]]

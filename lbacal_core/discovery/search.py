@@ -210,9 +210,10 @@ def put_into_words(report: StationReport, seed: int = 0) -> StationReport:
     description = describe_structure(left, report.structure, targets, report.policy, seed, *also)
     if report.findings:
         alone = describe_structure(report.first, report.structure, targets, report.policy, seed, *also)
-        if _is_likelier(alone, description, report):
-            similar = [*report.similar, *report.findings]
-            report, description = replace(report, findings=[], similar=similar), alone
+        standing = _stand_against(alone, description, report)
+        if len(standing) < len(report.findings):
+            gone = [one for one in report.findings if all(one is not other for other in standing)]
+            return put_into_words(replace(report, findings=standing, similar=[*report.similar, *gone]), seed)
     rest = None if report.rest is None else put_into_words(report.rest, seed)
     if rest is not None and _say_of_one([*description.sentences[:1], *rest.description.sentences[:1]]):
         rest = None  # what was seen in two antennas is said of one
@@ -232,20 +233,27 @@ def _say_of_one(sentences: Sequence[Described]) -> bool:
     return len(sentences) > 1 and len({one.hypothesis.target.label for one in sentences}) == 1
 
 
-def _is_likelier(alone: Description, beside: Description, report: StationReport) -> bool:
-    """Whether a sentence by itself is likelier by far than the findings with the sentence that is said beside them.
+def _stand_against(alone: Description, beside: Description, report: StationReport) -> list[Finding]:
+    """The findings without those of a target of which a sentence by itself is likelier by far.
 
-    A gain that follows temperature since a date is a step in autumn and a square of temperature as well.
+    They go together where it is likelier than they are with the sentence that is said beside them. A gain that follows
+    temperature since a date is a step in autumn and a square of temperature as well. What is said of other targets
+    shows elsewhere in the data, and is no rival.
     """
     if not alone.sentences:
-        return False
+        return report.findings
     one, others = alone.sentences[0], beside.sentences[:1]
-    findings = [finding.hypothesis for finding in report.findings]
-    by_itself = _with(report.first, [one.hypothesis])
-    together = _with(report.first, [*findings, *(other.hypothesis for other in others)])
-    length = sum(chance_of(finding.score) for finding in report.findings) + sum(other.length for other in others)
+    target = one.hypothesis.target.label
+    rivals = [finding for finding in report.findings if finding.hypothesis.target.label == target]
+    if not rivals or any(other.hypothesis.target.label != target for other in others):
+        return report.findings
+    standing = [finding for finding in report.findings if finding.hypothesis.target.label != target]
+    base = _with(report.first, [finding.hypothesis for finding in standing])
+    by_itself = _with(base, [one.hypothesis])
+    together = _with(base, [*(rival.hypothesis for rival in rivals), *(other.hypothesis for other in others)])
+    length = sum(chance_of(rival.score) for rival in rivals) + sum(other.length for other in others)
     gain = gain_in_chi_squared(by_itself, together) - (length - one.length)
-    return gain < -2.0 * report.policy.likelier
+    return standing if gain < -2.0 * report.policy.likelier else report.findings
 
 
 def _adds_beside(finding: Finding, sentences: Sequence[Hypothesis], report: StationReport) -> bool:

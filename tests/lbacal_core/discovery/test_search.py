@@ -18,12 +18,14 @@ from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.refit import refit
 from lbacal_core.discovery.residual_structure import ResidualStructure
 from lbacal_core.discovery.search import _lives_there, _seen_beside, _standing, search_station
-from lbacal_core.discovery.station import gather_stations
+from lbacal_core.discovery.station import gather_stations, model_modes
+from lbacal_core.sky.differences import compute_model_differences
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.composed import Composed
 from lbacal_twin.faults.fault import Where
 from lbacal_twin.faults.hardware import GainStep, GainTemperature
 from lbacal_twin.faults.sky import DipoleAzimuth, LstOffset, RfiBroadband
+from lbacal_twin.faults.uncatalogued import MainsHum
 from tests.lbacal_core.discovery.conftest import SEED, SETTINGS
 
 
@@ -144,7 +146,7 @@ def test_structure_is_described_again_without_a_name_that_its_sentence_takes_bac
     monkeypatch.setattr(search, "list_targets", lambda _: [station])
     monkeypatch.setattr(search, "describe_structure", lambda left, *_: Description([said], remains=left))
     monkeypatch.setattr(search, "_adds_beside", lambda finding, *_: finding is stands)
-    monkeypatch.setattr(search, "_is_likelier", lambda *_: False)
+    monkeypatch.setattr(search, "_stand_against", lambda _, __, report: report.findings)
     report = search.put_into_words(Put([goes, stands]))
     assert (report.findings, report.similar) == ([stands], [goes])
     assert report.description.remains == ["stands"], "the model without the other"
@@ -179,6 +181,19 @@ def test_a_name_goes_that_describes_a_part_of_what_one_sentence_describes(chain,
     _, law, course = parts_of(report.description.sentences[0].hypothesis.template)
     assert law == ("flat",)
     assert (course[0], course[1][:3], course[2][0]) == ("product", ("column", "temperature_c", 1), "step")
+
+
+@pytest.mark.long
+def test_a_name_in_an_antenna_stays_beside_a_sentence_of_the_station(chain, sky, simulation):
+    """Of the station the means alone tell where the sky is free: the step of an antenna gained nothing in them."""
+    faults = [MainsHum(size=0.03), GainStep(size=0.025, where=Where(antennas=(2,)), date="2014-08-07")]
+    spectra = simulate_campaign(SETTINGS, chain, sky, np.random.default_rng(SEED), faults).spectra
+    (station,) = gather_stations(spectra, simulation)
+    modes = model_modes(station, compute_model_differences(simulation.instrument))
+    report = search.put_into_words(search_station(station, modes=modes))
+    (found,) = report.findings
+    assert (found.hypothesis.cause.identifier, found.hypothesis.target.label) == ("gain_step", "antenna 2")
+    assert report.description.sentences[0].hypothesis.target.label == "station"
 
 
 def finding_of(look, target):
