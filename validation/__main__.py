@@ -7,14 +7,16 @@ import importlib
 import sys
 import tomllib
 from collections.abc import Callable
+from datetime import date
 from functools import partial
 from pathlib import Path
 
 from validation.machinery.claims import REFUTED
+from validation.machinery.ledger import read_ledger
 from validation.machinery.page import draw_figures, renew_page
 from validation.machinery.parts import SHARED, parts_of, proof_names
 from validation.machinery.quotes import read_quotes, renew_pages
-from validation.machinery.records import Record, read_records
+from validation.machinery.records import Record, read_history, read_records, without_result
 from validation.machinery.run import Order, RefusedError, run_and_record
 
 STANDING = Path(__file__).with_name("standing.toml")
@@ -33,7 +35,12 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--workers", type=int, default=2, help="processes beside each other (2)")
     parser.add_argument("--scratch", action="store_true", help="enter and record nothing, on seeds for debugging")
     parser.add_argument("--first", type=int, default=0, help="with --scratch: the first seed, or one that was entered")
-    parser.add_argument("--standing", action="store_true", help="every part of validation/standing.toml, at a release")
+    parser.add_argument(
+        "--standing",
+        metavar="DATE",
+        type=_day,
+        help="run the parts of validation/standing.toml of which no block entered since that day has a result",
+    )
     parser.add_argument("--page", action="store_true", help="write docs/validation.md and the figures of texts anew")
     parser.add_argument("--mended", default="", help="what was mended since the last block: the record begins anew")
     chosen = parser.parse_args(arguments)
@@ -46,10 +53,9 @@ def main(arguments: list[str]) -> int:
     verdicts: list[str] = []
     steps: list[Callable[[], None]] = [lambda: _prove(chosen, verdicts)] * bool(chosen.name)
     if chosen.standing:
-        for name, counts in read_standing().items():
-            for part, count in counts.items():
-                one = argparse.Namespace(**vars(chosen) | {"name": name, "part": [part], "count": count})
-                steps.append(partial(_prove, one, verdicts))
+        for name, part, count in standing_since(chosen.standing):
+            one = argparse.Namespace(**vars(chosen) | {"name": name, "part": [part], "count": count})
+            steps.append(partial(_prove, one, verdicts))
     steps += [_write_pages] * (not chosen.scratch)  # what was recorded before a part was refused stands in the page
     code = 0
     for step in steps:
@@ -63,6 +69,26 @@ def main(arguments: list[str]) -> int:
 
 def read_standing() -> dict[str, dict[str, int]]:
     return tomllib.loads(STANDING.read_text(encoding="utf-8"))
+
+
+def standing_since(day: str) -> list[tuple[str, str, int]]:
+    """Proof, part and count of the standing validation where no block entered since a day has a result."""
+    entries = [entry for entry in read_ledger() if entry.entered_at >= day]
+    lost = without_result([*read_records(), *read_history()], entries)
+    held = {(entry.proof, entry.part) for entry in entries if entry not in lost}
+    return [
+        (proof, part, count)
+        for proof, counts in read_standing().items()
+        for part, count in counts.items()
+        if (proof, part) not in held
+    ]
+
+
+def _day(text: str) -> str:
+    try:
+        return f"{date.fromisoformat(text)}"
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"expected a day as YYYY-MM-DD, got {text}") from None
 
 
 def _list_proofs() -> int:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
-from validation.__main__ import main, read_standing
+from validation.__main__ import main, read_standing, standing_since
+from validation.machinery.ledger import read_ledger
 from validation.machinery.parts import parts_of
 from validation.machinery.records import path_of, read_record
 
@@ -42,6 +45,22 @@ def test_the_standing_validation_takes_four_hours_of_one_core_at_most():
             record = read_record(path_of(proof, part))
             hours += count * record.hours / sum(block.count for block in record.blocks)
     assert 2.0 < hours <= 4.0
+
+
+def test_the_standing_validation_runs_what_has_no_result_since_a_day(monkeypatch: pytest.MonkeyPatch):
+    every = {(proof, part) for proof, counts in read_standing().items() for part in counts}
+    assert {(proof, part) for proof, part, _ in standing_since("9999-01-01")} == every
+    assert standing_since("2000-01-01") == []
+    one = read_ledger("discovery", "one")[-1]
+    broken_off = replace(one, part="unknown", first=one.first + 10**9)
+    monkeypatch.setattr("validation.__main__.read_ledger", lambda: [one, broken_off])
+    assert {(proof, part) for proof, part, _ in standing_since(one.entered_at[:10])} == every - {("discovery", "one")}
+
+
+def test_a_day_that_is_none_is_refused(capsys: pytest.CaptureFixture[str]):
+    with pytest.raises(SystemExit):
+        main(["--standing", "last week"])
+    assert "argument --standing: expected a day as YYYY-MM-DD, got last week" in capsys.readouterr().err
 
 
 def test_the_first_seed_of_a_recorded_run_cannot_be_chosen(capsys: pytest.CaptureFixture[str]):

@@ -30,7 +30,7 @@ class Record:
     look
         How many blocks of the part had been entered when its claims were decided; 1 where there is no chance.
     hours
-        Time of all trials together, each on one core.
+        Processor time of all trials together; of blocks entered before 22 h of 2026-11-29 by the clock.
     rows
         The trials, where another block may join them, or the docs are made from them.
     mended
