@@ -166,6 +166,11 @@ def write_chance(p_value: float) -> str:
     return f"p < {SMALLEST_CHANCE:.0e}" if p_value < SMALLEST_CHANCE else f"p = {p_value:.1e}"
 
 
+def write_count(count: int, one: str, several: str = "") -> str:
+    """Write how many there are of what: ``1 job``, ``3 jobs``."""
+    return f"1 {one}" if count == 1 else f"{count} {several or one + 's'}"
+
+
 def write_percent(fraction: float, digits: int = 2) -> str:
     """Write a change with its sign: ``+1.25 %``."""
     return f"{100.0 * fraction:+.{digits}f} %"

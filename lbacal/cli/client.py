@@ -15,7 +15,7 @@ import typer
 from lbacal.cli.outputs import Json, progress, require_outputs, show, show_each
 from lbacal.client import CachedAnswerWarning, Client, describe_snapshot
 from lbacal.files import written_beside
-from lbacal_core.errors import BadInputError, name_path
+from lbacal_core.errors import BadInputError, name_path, write_count
 
 Station = Annotated[str | None, typer.Option(help="Station such as CS002.")]
 Antenna = Annotated[int | None, typer.Option(help="Antenna number.", min=0)]
@@ -150,7 +150,8 @@ def jobs(
 def print_receipt(total: dict[str, Any]) -> None:
     """Print how many spectra were sent and stored."""
     print_warnings(total)
-    print(f"{total['received']} spectra sent: {total['stored']} stored, {total['duplicates']} there already")
+    sent = write_count(total["received"], "spectrum", "spectra")
+    print(f"{sent} sent: {total['stored']} stored, {total['duplicates']} there already")
 
 
 def print_warnings(receipt: dict[str, Any]) -> None:

@@ -11,7 +11,7 @@ import typer
 from lbacal.cli.client import SHOWN, Antenna, Dipole, Station, print_job, wait_for
 from lbacal.cli.outputs import Json, show, show_each
 from lbacal.client import Client
-from lbacal_core.errors import BadInputError, name_path
+from lbacal_core.errors import BadInputError, name_path, write_count
 
 Reason = Annotated[str, typer.Option(help="Why; it is kept.")]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Show what would change, and change nothing.")]
@@ -299,8 +299,7 @@ def print_state(state: dict[str, Any]) -> None:
     parts = ", ".join(f"{count} {name}" for name, count in state["parts"].items())
     print(f"parts of jobs: {parts}")
     newest = f", the newest of {state['newest_event']}" if state["newest_event"] else ""
-    gated = "1 version waits" if state["gated"] == 1 else f"{state['gated']} versions wait"
-    print(f"{state['events']} usable events{newest}; {gated} for a human")
+    print(f"{write_count(state['events'], 'usable event')}{newest}; versions that wait for a human: {state['gated']}")
     print(f"alarms: {state['alarms']['line']}")
     for one in state["investigations"]:
         print_news(one)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lbacal.engine import HERE, Engine, read_address
-from lbacal_core.errors import LbacalError
+from lbacal_core.errors import LbacalError, write_count
 
 if TYPE_CHECKING:
     from service.factory import Factory
@@ -33,7 +33,7 @@ def scheduler(
 
     factory = _open()
     if once:
-        print(f"{len(look_for_due_work(factory))} jobs enqueued")
+        print(f"{write_count(len(look_for_due_work(factory)), 'job')} enqueued")
         return
     run_scheduler(factory, _stop_on_signal())
 

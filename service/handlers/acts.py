@@ -10,7 +10,7 @@ from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse, RedirectResponse, Response
 
 from lbacal.instants import format_instant
-from lbacal_core.errors import BadInputError, name_path
+from lbacal_core.errors import BadInputError, name_path, write_count
 from service.errors import ConflictError, NotFoundError, UnauthenticatedError
 from service.factory import Factory
 from service.handlers.jobs import RUN, describe_job
@@ -112,7 +112,7 @@ def _roll_back(use: Factory, target: str, body: bodies.ReasonBody, by: str) -> F
 
 
 def _of_plan(use: Factory, plan: Plan) -> Foreseen:
-    promoted = f"{len(plan.wanted)} promotions are written to the ledger; they are undone by rolling back."
+    promoted = f"{write_count(len(plan.wanted), 'promotion')} to write into the ledger, undone by rolling back."
     left_out = [f"{name}: left out, {why}" for name, why in plan.left_out.items()]
     return Foreseen([promoted, *left_out], lambda: use.promotions.promote(plan, lambda *_: None), plan.changes)
 

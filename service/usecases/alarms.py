@@ -19,7 +19,7 @@ from lbacal.instants import DAY_US, SECOND_US, format_instant, parse_instant
 from lbacal_core.causes.model import Model
 from lbacal_core.curves.curves import CONVERGED, OK
 from lbacal_core.curves.validity import Instant, Promotion, Scope
-from lbacal_core.errors import BadInputError, name_path
+from lbacal_core.errors import BadInputError, name_path, write_count
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.spectra.screening import LASTING_EVENTS
 from service.storage.alarms import (
@@ -51,7 +51,7 @@ from service.storage.spectra import Window
 from service.storage.versions import Summary, Version
 from service.usecases.drift import year_of
 from service.usecases.gate import name_members
-from service.usecases.retractions import FLAGGED, find_retracted
+from service.usecases.retractions import find_retracted
 from service.usecases.watch import MEMBERS_NAMED, UNLESS, read_changes
 from service.wire.bodies import AcknowledgementBody
 
@@ -299,13 +299,13 @@ def find_left_out(stores: Stores) -> Iterator[News]:
 def find_lost_c(stores: Stores) -> Iterator[News]:
     """Find windows without C of paths that had it before or there, and versions in effect that were retracted.
 
-    Their versions wait for a person, or the last one was withdrawn as most of its events are flagged.
+    Their versions wait for a person, or due work withdrew the last one.
     """
     standing = stores.ledger.all_standing()
     told = [
         (one.scope, (one.valid_from, one.valid_to), one.reason, True)
         for one in standing
-        if one.calibration is None and one.by == SCHEDULER and one.reason.endswith(FLAGGED) and one.valid_to is not None
+        if one.calibration is None and one.by == SCHEDULER and one.valid_to is not None
     ]
     waiting = [one for one in stores.versions.waiting() if one.status == CONVERGED]
     told += [(one.scope, (one.since, one.until), one.sentence, False) for one in waiting]
@@ -335,12 +335,9 @@ def _find_retracted(stores: Stores, standing: Sequence[Promotion]) -> Iterator[N
             found.setdefault((one.scope.station, one.since, one.until), {})[one.id] = why[one.id]
     for (station, since, until), of_window in found.items():
         window, (name, first) = _name_window(since, until), next(iter(of_window.items()))
-        what, answer, others = f"{len(of_window)} versions in effect are", "answer", "others, or withdraw them"
-        if len(of_window) == 1:
-            what, answer, others = "1 version in effect is", "answers", "another, or withdraw it"
         sentence = (
-            f"{station or 'the array'}, {window}: {what} of events that were flagged since, and {answer} as uncertain "
-            f"({name[:12]}: {first}): promote {others}"
+            f"{station or 'the array'}, {window}: events of {write_count(len(of_window), 'version')} in effect were "
+            f"flagged since, and C is uncertain ({name[:12]}: {first}): promote others, or withdraw what there is"
         )
         yield News(RETRACTED, Scope(station), window, sentence, {"versions": of_window})
 

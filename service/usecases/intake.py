@@ -12,7 +12,7 @@ import numpy as np
 
 from lbacal.instants import SECOND_US, format_instant, parse_instant
 from lbacal_core.curves.validity import Instant
-from lbacal_core.errors import BadInputError, name_path, require_antenna, require_name
+from lbacal_core.errors import BadInputError, name_path, require_antenna, require_name, write_count
 from lbacal_core.grids import Floats, require_same_grid
 from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.instrument.instrument import Instrument
@@ -201,7 +201,7 @@ def warn_of_far(spectra: Spectra, far: Floats) -> list[str]:
         factors.setdefault(name, []).append(far[k])
     told = [
         f"{name}: {(factor := np.median(found)):.3g} times the power stored nearest in time "
-        f"({10 * np.log10(factor):+.1f} dB); {len(found)} spectra stored, "
+        f"({10 * np.log10(factor):+.1f} dB); {write_count(len(found), 'spectrum', 'spectra')} stored, "
         "and in no fit before the night has judged them"
         for name, found in factors.items()
     ]

@@ -20,7 +20,6 @@ from service.usecases.drift import find_years
 
 SHARE = 0.5
 """C of fewer of its events than this is rather that of the others."""
-FLAGGED = "events were flagged since it was made"
 
 
 def find_retracted(stores: Stores, versions: Iterable[Summary]) -> dict[str, str]:
@@ -31,7 +30,7 @@ def find_retracted(stores: Stores, versions: Iterable[Summary]) -> dict[str, str
         if in_window(one.since, one.until) > SHARE * one.events:
             gone = stores.spectra.count_flagged(Window(one.since, one.until, one.scope), one.made)
             if gone > SHARE * one.events:
-                found[one.id] = f"{min(gone, one.events)} of its {one.events} {FLAGGED}"
+                found[one.id] = f"{min(gone, one.events)} of its {one.events} events were flagged since it was made"
     return found
 
 

@@ -14,7 +14,7 @@ import structlog
 
 from lbacal.instants import DAY_US
 from lbacal_core.curves.validity import Instant, Scope
-from lbacal_core.errors import LbacalError
+from lbacal_core.errors import LbacalError, write_count
 from lbacal_core.instrument.instrument import Instrument
 from service.errors import UnavailableError
 from service.storage.database import FULL, Database
@@ -190,11 +190,11 @@ def tell_problems(state: State, overview: Overview, stopped: Sequence[str]) -> l
     if overview.last is None:
         found.append("No spectra are stored yet.")
     elif silent:
-        found.append(f"{silent} of {overview.paths} paths have no calibration in effect at the last event.")
+        found.append(f"Paths without a calibration in effect at the last event: {silent} of {overview.paths}.")
     if state.alarms.open:
         found.append(f"Alarms: {state.alarms.line}.")
     if state.failures:
-        found.append(f"{len(state.failures)} jobs failed and nothing has made up for it.")
+        found.append(f"{write_count(len(state.failures), 'job')} failed and nothing has made up for it.")
     return [*found, *(f"No longer pays: {sentence}" for sentence in stopped)]
 
 

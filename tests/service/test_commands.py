@@ -83,7 +83,7 @@ $ alarms --acknowledge 1 --until 2021-01-01 --reason "the cable is ordered"
 $ status
 not ready: no worker has lived for a minute: start `lbacal worker`
 parts of jobs: 0 queued, 0 running, 0 done, 0 failed, 0 cancelled
-1 usable events, the newest of 2014-05-13T16:53:20Z; 0 versions wait for a human
+1 usable event, the newest of 2014-05-13T16:53:20Z; versions that wait for a human: 0
 alarms: none open, 1 acknowledged; 1 new since yesterday
 CS001, 2014-01-01 to 2015-01-01: explained (gain_step); investigation bbbbbbbbbbbb
   new: The gain stepped.
@@ -286,7 +286,7 @@ changes of what paths are served: 0 (dry run: nothing was written)""",
 worker w lives, seen 0 s ago
 worker w is silent, seen 61 s ago
 parts of jobs: 2 queued, 1 done
-5 usable events, the newest of 2014-05-01T00:00:00Z; 1 version waits for a human
+5 usable events, the newest of 2014-05-01T00:00:00Z; versions that wait for a human: 1
 alarms: none
 CS002, 2014-01-01 to 2015-01-01: explained (gain_step); investigation 0123456789ab
 CS002, 2014-01-01 to 2015-01-01: explained (gain_step), as before; investigation 0123456789ab
