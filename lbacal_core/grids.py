@@ -28,11 +28,10 @@ def require_same_grid(place: str, frequency_mhz: Floats, expected_mhz: Floats, e
         What `expected_mhz` belongs to, for the message.
     """
     if frequency_mhz.shape != expected_mhz.shape:
-        raise BadInputError(
-            f"{place}: frequency_mhz",
-            f"the {expected_mhz.size} channels of {expected_from}",
-            f"{frequency_mhz.size} channels",
-        )
+        expected = f"the {expected_mhz.size} channels of {expected_from}"
+        found = find_channels(frequency_mhz, expected_mhz)
+        without = "" if found is None else f", without {name_channels(expected_mhz[~found])}"
+        raise BadInputError(f"{place}: frequency_mhz", expected, f"{frequency_mhz.size} channels{without}")
     off = np.flatnonzero(~(np.abs(frequency_mhz - expected_mhz) <= GRID_TOLERANCE_MHZ))  # NaN is off too
     if off.size:
         k = int(off[0])
@@ -43,6 +42,25 @@ def require_same_grid(place: str, frequency_mhz: Floats, expected_mhz: Floats, e
         )
 
 
+def find_channels(frequency_mhz: Floats, expected_mhz: Floats) -> NDArray[np.bool_] | None:
+    """Which of the expected channels another input has, shape (expected,); None where it has others, or none of them.
+
+    Parameters
+    ----------
+    frequency_mhz, expected_mhz
+        Rising, MHz.
+    """
+    near = np.abs(frequency_mhz[:, None] - expected_mhz) <= GRID_TOLERANCE_MHZ
+    return np.asarray(near.any(axis=0)) if near.size and near.any(axis=1).all() else None
+
+
+def name_channels(frequency_mhz: Floats) -> str:
+    """Channels in words: ``40, 41 MHz``."""
+    more = f" and {frequency_mhz.size - CHANNELS_NAMED} more" if frequency_mhz.size > CHANNELS_NAMED else ""
+    return f"{', '.join(f'{one:.10g}' for one in frequency_mhz[:CHANNELS_NAMED])} MHz{more}"
+
+
+CHANNELS_NAMED = 10
 LOWEST_MHZ, HIGHEST_MHZ = 1.0, 1e5
 """Nobody receives the Galaxy at 100 GHz, or below 1 MHz alone: other numbers are Hz or GHz."""
 

@@ -77,7 +77,7 @@ def audit(
     """
     spectra = data if isinstance(data, Spectra) else _read(path_of("data", data), instrument, average, tell)
     name = spectra.origin if isinstance(data, Spectra) else Path(data).name
-    core = core_of(instrument)
+    core = core_of(instrument).on_channels(spectra.frequency_mhz)
     tell(f"audit {len(spectra)} spectra")
     report = audit_spectra(spectra, core, sky, antenna)
     doubts = sorted({one.check for one in report.lines if one.verdict == UNDECIDED and (one.log_odds or 0.0) > 0})

@@ -24,7 +24,7 @@ from lbacal.pages.curves import FREQUENCY
 from lbacal.selection import SUFFIXES, Selection, find_spectra_files, parse_selection, read_selected
 from lbacal.units import convert_band, convert_number, make_rng
 from lbacal_core.errors import BadInputError, needing, require_kind
-from lbacal_core.grids import WITHIN_1_SIGMA, Floats
+from lbacal_core.grids import WITHIN_1_SIGMA, Floats, name_channels
 from lbacal_core.readers.open import choose_channels, open_source
 from lbacal_core.readers.source import Averaged
 from lbacal_core.readers.source import average as average_source
@@ -32,6 +32,8 @@ from lbacal_core.spectra.spectra import Spectra, write_spectra
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from lbacal_core.simulation.simulation import Simulation
 
 DEFAULT_INTERVAL_S = 900.0
 """What one spectrum of `import_data` averages."""
@@ -114,9 +116,18 @@ def _draw_powers(frequency_mhz: Floats, powers: Mapping[str, Floats]) -> Chart:
 def spectra_of(data: Spectra | str | Path) -> Spectra:
     """The spectra, read where they are a file."""
     if isinstance(data, Spectra):
-        return data
+        return data.without_empty_channels()
     require_kind("spectra", data, str | Path, "those of lbacal.read, or the name of a file")
     return read_selected([Path(data)], Selection(), time.time())
+
+
+def in_common(spectra: Spectra, simulation: Simulation) -> tuple[Spectra, Simulation, str]:
+    """Spectra and simulation on the channels of both, and a sentence where the spectra lack some."""
+    ours = simulation.on_channels(spectra.frequency_mhz)
+    every, kept = simulation.instrument.frequency_mhz, ours.instrument.frequency_mhz
+    missing = every[~np.isin(every, kept)]
+    lacking = f"{missing.size} of {every.size} hold no power or are not in the spectra: {name_channels(missing)}"
+    return spectra, ours, lacking if missing.size else ""
 
 
 def read(

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from lbacal.analysis.data import spectra_of
+from lbacal.analysis.data import in_common, spectra_of
 from lbacal.analysis.instrument import Described, simulation_of
 from lbacal.analysis.result import Result
 from lbacal.calibration_files import FORMATS, complete_curves, write_calibrations
@@ -155,7 +155,7 @@ def fit(
     simulation, causes = simulation_of(instrument, sky_power), read_model(with_, "with_")
     simulation = simulation if causes.is_plain else simulation.with_causes(causes)
     simulation.causes.require_one_c("with_")
-    measured = spectra_of(spectra)
+    measured, simulation, without = in_common(spectra_of(spectra), simulation)
     audited = audit_quickly(measured, simulation.instrument)
     audited.require_power(measured.origin)
     tell(f"fit {len(measured)} spectra")
@@ -166,6 +166,8 @@ def fit(
         if mistake != NOT_NAMED:
             report = replace(report, provenance=report.provenance.with_note(LIKELY_MISTAKE, mistake))
     report = audited.mark(report)
+    if without:
+        report = replace(report, provenance=report.provenance.with_note("channels", without))
     tell("error of one event")
     error = measure_error(report, measured, seen)
     sentences = [] if error is None else [describe_error(error)]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from astropy.table import QTable
 
-from lbacal.analysis.data import spectra_of
+from lbacal.analysis.data import in_common, spectra_of
 from lbacal.analysis.instrument import Described, simulation_of
 from lbacal.analysis.result import Result
 from lbacal.engine import Engine
@@ -141,13 +141,13 @@ def investigate(
         raise BadInputError("instrument", "an instrument beside spectra, or the name of one", "None")
     simulation, causes = simulation_of(instrument, sky_power), read_model(with_, "with_")
     simulation = simulation if causes.is_plain else simulation.with_causes(causes)
-    measured = spectra_of(data)
+    measured, simulation, without = in_common(spectra_of(data), simulation)
     audited = audit_quickly(measured, simulation.instrument)
     audited.require_power(measured.origin)
     with Engine(dask) as engine:
         each = None if dask is None else partial(_search_each, engine, tell)
         content = investigate_openly(measured, simulation.smeared(measured), progress=tell, each=each)
-    content["provenance"]["notes"]["audit"] = audited.sentence
+    content["provenance"]["notes"] |= {"audit": audited.sentence} | ({"channels": without} if without else {})
 
     origin = list_origin(measured.origin, simulation, measured.time_unix, content["provenance"])
     page = partial(draw_investigation, content, origin)

@@ -15,6 +15,7 @@ from lbacal_core.audit.verdict import UNDECIDED, WRONG, Line
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.sky.table import harmonics_at
+from lbacal_core.spectra.spectra import NO_POWER
 
 # Paths that do not receive as the others of their station do: dead, insensitive, oscillating, clipped, outlying.
 #
@@ -180,8 +181,6 @@ def _name(
 
 # Channels that hold no sky in any path: far below the others, or the same number all the time.
 
-NO_POWER = np.log(1e-6)
-"""Ln of the power over that of the median channel: no filter with a channel that anybody calibrates lets less pass."""
 NO_CHANGE = 0.01
 """Change with time over that of the median channel: even interference changes with the gain."""
 SHOWN = 10
@@ -192,7 +191,7 @@ def find_empty_channels(station: AuditedStation) -> list[Line]:
     """Tell the channels without sky, which spoil the fit of all others; empty where there are none."""
     power = np.nanmedian(np.log(station.power), axis=(0, 1))
     level, change = np.median(power, axis=0), power.std(axis=0)
-    is_empty = level < np.median(level) + NO_POWER
+    is_empty = level < np.median(level) + np.log(NO_POWER)
     if np.median(change) > MEASURABLE:
         is_empty |= change < NO_CHANGE * np.median(change)
     if not is_empty.any():
@@ -201,7 +200,7 @@ def find_empty_channels(station: AuditedStation) -> list[Line]:
     more = f" and {len(empty) - SHOWN} more" if len(empty) > SHOWN else ""
     sentence = (
         f"{len(empty)} of {is_empty.size} channels hold no sky in any path (one number, or 1e-6 of the others' power): "
-        f"{', '.join(empty[:SHOWN])} MHz{more}; fit spectra, instrument and sky power without them"
+        f"{', '.join(empty[:SHOWN])} MHz{more}; take them out of the spectra"
     )
     return [Line("channels", WRONG, station.name, sentence)]
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from lbacal_core.errors import BadInputError, UnknownNameError, offer_name, require_name, require_parts
 from lbacal_core.foreign import parse_name, parse_number, parse_numbers, parse_optional_name, read_json, write_instant
-from lbacal_core.grids import Floats, require_channels
+from lbacal_core.grids import Floats, find_channels, require_channels
 from lbacal_core.instrument.antennas import (
     ABSOLUTE,
     EXPECTED,
@@ -34,6 +34,8 @@ from lbacal_core.instrument.antennas import (
 from lbacal_core.instrument.stages import IN_LINE, Stage, fill_fields, gain_behind, parse_stages
 from lbacal_core.provenance import hash_content
 
+FEWEST_CHANNELS = 0.5
+"""Share of an instrument's channels without which spectra are rather another instrument's."""
 LARGEST_TURN_DEG = 1.0
 """Azimuths of an arm that differ by less are the same: records round."""
 STEEPEST_DEG = 90.0
@@ -159,6 +161,26 @@ class Instrument:
         """The instrument standing where a station of it stands; itself where the station has no site of its own."""
         site = None if station is None else self.sites.get(station)
         return self if site is None else replace(self, sites={}, **vars(site))
+
+    def on_channels(self, frequency_mhz: Floats) -> Instrument:
+        """The instrument with those of its channels that an input has, at least half; itself for any other input."""
+        kept = find_channels(frequency_mhz, self.frequency_mhz)
+        if kept is None or kept.all() or kept.mean() < FEWEST_CHANNELS:
+            return self
+        given = self.gain_provenance
+        error = None if given is None else given.shape_error
+        return replace(
+            self,
+            frequency_mhz=self.frequency_mhz[kept],
+            antenna_gain=self.antenna_gain[kept],
+            receiver_gain=self.receiver_gain[kept],
+            cables={name: loss[kept] for name, loss in self.cables.items()},
+            gain_provenance=given if given is None or error is None else replace(given, shape_error=error[kept]),
+            stages=[stage.on_channels(kept) for stage in self.stages],
+            alternatives={
+                name: [one.on_channels(frequency_mhz) for one in others] for name, others in self.alternatives.items()
+            },
+        )
 
     def require_dipoles(
         self, letters: NDArray[np.str_], origin: str, arms_deg: Mapping[str, float] = MappingProxyType({})

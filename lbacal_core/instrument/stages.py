@@ -14,11 +14,12 @@ Noise of a stage is free (the data determine it), known, with an error or withou
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lbacal_core.errors import BadInputError, require_name
 from lbacal_core.foreign import parse_name, parse_number, parse_numbers
@@ -69,6 +70,11 @@ class Stage:
     def has_noise(self) -> bool:
         """Whether it adds anything."""
         return self.is_free or self.noise_k is not None
+
+    def on_channels(self, kept: NDArray[np.bool_]) -> Stage:
+        """The stage with some of its channels, by a mask of shape (freq,)."""
+        gain, noise_k = (None if one is None else one[kept] for one in (self.gain, self.noise_k))
+        return replace(self, gain=gain, noise_k=noise_k)
 
     def require_whole(self, place: str) -> None:
         """Refuse a stage of an unknown kind, without the gain that its kind has, or with an error of nothing."""

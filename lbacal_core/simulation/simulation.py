@@ -105,6 +105,14 @@ class Simulation:
         """An instrument by its name or file, under its own sky."""
         return cls(load_instrument(instrument))
 
+    def on_channels(self, frequency_mhz: Floats) -> Simulation:
+        """The simulation on those of its channels that an input has, at least half; itself for any other input."""
+        instrument = self.instrument.on_channels(frequency_mhz)
+        if instrument is self.instrument:
+            return self
+        kept = np.isin(self.instrument.frequency_mhz, instrument.frequency_mhz)
+        return replace(self, instrument=instrument, given=self.sky_power.on_channels(kept), is_own_sky=self.is_own_sky)
+
     @cached_property
     def sky_power(self) -> SkyPower:
         """P_sky(LST, nu) of each dipole and station."""

@@ -342,6 +342,18 @@ class SkyPower:
         """
         return read_at(self.power[dipole], np.asarray(lst_hours) - self.lst_hours[0])
 
+    def on_channels(self, kept: NDArray[np.bool_]) -> SkyPower:
+        """The same with some of its channels, by a mask of shape (freq,)."""
+        made = self.made_for
+        hashes = {} if made is None else {name: one for name, one in made.hashes.items() if name != "instrument"}
+        return replace(
+            self,
+            frequency_mhz=self.frequency_mhz[kept],
+            power={dipole: values[:, kept] for dipole, values in self.power.items()},
+            made_for=None if made is None else replace(made, hashes=hashes),
+            stations={name: one.on_channels(kept) for name, one in self.stations.items()},
+        ).of_inputs(hash_content([self.digest(), kept.tolist()]))
+
     def smeared(self, hours: float) -> SkyPower:
         """The mean over so many sidereal hours about each instant; the same object where that is a moment.
 

@@ -48,6 +48,8 @@ _KINDS = {
     "dipole": hdf5.STRINGS,
     "blocks": hdf5.INTEGERS,
 }
+NO_POWER = 1e-6
+"""Over the typical channel's power: no filter with a channel that anybody calibrates lets less pass."""
 _ARM = "azimuth_deg_"
 """The attribute of a file that has the azimuth of an arm begins with this, and ends with the dipole."""
 _OPTIONAL = {"width_mhz": hdf5.NUMBERS, "duration_s": hdf5.NUMBERS, "flag": hdf5.STRINGS}
@@ -129,7 +131,9 @@ class Spectra:
             raise BadInputError(f"{self.origin}: power", f"{self.frequency_mhz.size} channels", f"{self.power.shape}")
         if not (np.isfinite(self.resistance_ohm) and self.resistance_ohm > 0):
             raise BadInputError(f"{self.origin}: resistance_ohm", "Ohm > 0", f"{self.resistance_ohm}")
-        self._require("power", np.all(np.isfinite(self.power) & (self.power > 0), axis=1), "finite power > 0")
+        is_flagged = False if self.flag is None else self.flag != ""
+        is_good = np.all(np.isfinite(self.power) & (self.power > 0), axis=1) | is_flagged
+        self._require("power", is_good, "finite power > 0")
         self._require("time_unix", np.isfinite(self.time_unix) & (self.time_unix > 0), "an instant (s UTC)")
         self._require("dipole", are_dipole_names(self.dipole), EXPECTED)
         self._require("antenna", self.antenna >= 0, "a number >= 0")
@@ -229,6 +233,13 @@ class Spectra:
         environment = {name: values[rows] for name, values in self.environment.items()}
         return Spectra(**own | chosen | {"environment": environment})
 
+    def without_empty_channels(self) -> Spectra:
+        """The spectra in the channels that hold power in any of them."""
+        kept = holds_power(self.power)
+        if kept.all() or not kept.any():
+            return self
+        return replace(self, **keep_channels(vars(self), kept))
+
     def without_flagged(self) -> Spectra:
         """The spectra that are not flagged; `left_out` counts the others."""
         if self.flag is None:
@@ -327,6 +338,8 @@ def read_spectra(path: Path, now_unix: float | None = None) -> Spectra:
     is_other = f"{path}: {NO_SPECTRA}, where lbacal import may read it"
     with reading(is_other, *hdf5.HDF5_FAILURES), h5py.File(path, "r") as file:
         content = _read_open_file(file, path.name) | {"arms_deg": _read_arms(file, path.name)}
+    if (kept := holds_power(content["power"])).any():
+        content |= keep_channels(content, kept)
     spectra = Spectra(**content, origin=path.name).without_flagged()
     if len(spectra) == 0 and spectra.left_out:
         raise BadInputError(
@@ -335,6 +348,24 @@ def read_spectra(path: Path, now_unix: float | None = None) -> Spectra:
     if now_unix is not None:
         spectra.require_past(now_unix)
     return spectra
+
+
+def holds_power(power: Floats) -> NDArray[np.bool_]:
+    """Whether channels hold any power, shape (freq,).
+
+    Parameters
+    ----------
+    power
+        Shape (row, freq); NaN or 0 where a channel was not recorded.
+    """
+    most = np.fmax.reduce(np.abs(power), axis=0, initial=0.0)
+    return np.asarray(most > NO_POWER * np.median(most))
+
+
+def keep_channels(content: Mapping[str, Any], kept: NDArray[np.bool_]) -> dict[str, Any]:
+    """The fields of `Spectra` that a selection of channels changes."""
+    given = {name: content[name] for name in ("frequency_mhz", "width_mhz") if content.get(name) is not None}
+    return {name: values[kept] for name, values in given.items()} | {"power": content["power"][:, kept]}
 
 
 def read_columns(content: bytes, place: str, largest_bytes: int) -> dict[str, Any]:

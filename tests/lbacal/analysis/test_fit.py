@@ -5,8 +5,10 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import fields, replace
+from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from astropy import units as u
@@ -14,9 +16,11 @@ from astropy.table import QTable
 from matplotlib.figure import Figure
 
 import lbacal
+from lbacal.analysis.data import spectra_of
 from lbacal_core.errors import BadInputError, MissingExtraError, UnknownNameError
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.sky.power import compute_sky_power
+from lbacal_core.spectra.spectra import Spectra, write_spectra
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.settings import TwinSettings
 
@@ -270,6 +274,46 @@ def test_the_quick_audit_runs_before_a_fit_and_refuses_volts() -> None:
     assert "nothing wrong between 6 antennas" in lbacal.fit(spectra, "lofar-superterp").report.provenance.notes["audit"]
     with pytest.raises(BadInputError, match="volts"):
         lbacal.fit(replace(spectra, power=spectra.power**0.5), "lofar-superterp")
+
+
+@pytest.fixture(scope="module")
+def without_40() -> Spectra:
+    whole = lbacal.simulate("lofar-superterp", events=80, antennas=2)
+    kept = whole.frequency_mhz != 40.0
+    return Spectra(**{
+        one.name: getattr(whole, one.name) for one in fields(Spectra)
+    } | {"frequency_mhz": whole.frequency_mhz[kept], "power": whole.power[:, kept], "width_mhz": None})  # fmt: skip
+
+
+@pytest.mark.parametrize("dead", [0.0, np.nan, 1e-30])
+def test_a_channel_without_power_is_left_out_and_told(without_40, dead, tmp_path: Path) -> None:
+    at = int(np.searchsorted(without_40.frequency_mhz, 40.0))
+    file = tmp_path / "s.h5"
+    write_spectra(without_40, file)
+    with h5py.File(file, "r+") as content:
+        nu, power = (
+            np.insert(content[name][:], at, put, -1) for name, put in (("frequency_mhz", 40.0), ("power", dead))
+        )
+        del content["frequency_mhz"], content["power"]
+        content["frequency_mhz"], content["power"] = nu, power
+    found, expected = (lbacal.fit(one, "lofar-superterp").report for one in (file, without_40))
+    for curve, other in zip(found.curves, expected.curves, strict=True):
+        assert curve.frequency_mhz.size == 50
+        np.testing.assert_array_equal(curve.c, other.c)
+    assert found.provenance.notes["channels"] == "1 of 51 hold no power or are not in the spectra: 40 MHz"
+
+
+def test_a_channel_of_hardly_any_power_is_left_out_of_spectra_in_memory(without_40) -> None:
+    nu, power = np.append(without_40.frequency_mhz, 90.0), np.insert(without_40.power, 50, 1e-30, axis=1)
+    assert spectra_of(replace(without_40, frequency_mhz=nu, power=power)).frequency_mhz[-1] == 80.0
+    assert spectra_of(without_40) is without_40
+
+
+def test_budget_audit_and_investigation_are_without_a_channel_that_the_spectra_lack(without_40) -> None:
+    assert lbacal.budget(without_40, "lofar-superterp").budget.frequency_mhz.size == 50
+    assert lbacal.audit(without_40, "lofar-superterp").wrong == []
+    notes = lbacal.investigate(without_40, "lofar-superterp").as_dict()["provenance"]["notes"]
+    assert notes["channels"].endswith("40 MHz")
 
 
 NU = np.array([30.0, 55.0, 80.0])

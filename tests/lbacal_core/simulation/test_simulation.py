@@ -7,8 +7,11 @@ import pytest
 from lbacal_core.causes.model import PLAIN, AdoptedCause, Model
 from lbacal_core.curves.curves import CalibrationCurve, Parameter
 from lbacal_core.errors import BadInputError
+from lbacal_core.instrument.antennas import AntennaRecord, GainProvenance
 from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.instrument.stages import Stage
 from lbacal_core.simulation.simulation import Simulation
+from lbacal_core.sky.power import compute_sky_power
 from lbacal_core.sky.table import SkyPower
 from tests.oracles import chain_power
 
@@ -53,6 +56,44 @@ def test_power_is_that_of_the_chain_written_out(simulation, curve):
         simulation.background(replace(curve, dipole=None, antenna=None), lst)
     with pytest.raises(ValueError, match="no curve"):
         simulation.power(replace(curve, status="too_few_events", c=None, c_sigma_stat=None), sky)
+
+
+def test_on_some_channels_it_is_that_of_an_instrument_with_these_alone():
+    whole = Simulation.load("lofar-superterp")
+    nu = whole.instrument.frequency_mhz
+    kept = ~np.isin(nu, [40.0, 41.0, 70.0])
+    ours = whole.on_channels(nu[kept])
+    fewer = compute_sky_power(ours.instrument)
+    assert ours.is_own_sky
+    assert whole.on_channels(nu) is whole
+    assert whole.on_channels(nu[:20]) is whole
+    assert whole.on_channels(nu[kept] + 0.5) is whole
+    for letter, values in ours.sky_power.power.items():
+        np.testing.assert_allclose(values, fewer.power[letter], rtol=1e-12)
+    assert ours.sky_power.digest() != whole.sky_power.digest()
+    given = replace(whole, given=whole.sky_power, is_own_sky=False).on_channels(nu[kept])
+    assert not given.is_own_sky
+    assert given.sky_power.digest() == ours.sky_power.digest()
+
+
+def test_every_table_of_an_instrument_has_the_channels_that_are_kept():
+    nu, values = np.array([30.0, 40.0, 50.0, 60.0]), np.array([0.1, 0.2, 0.3, 0.4])
+    stages = (Stage("lna", "lna", gain=values, noise_k=100 * values, is_free=True), Stage("adc", "adc", is_free=True))
+    provenance = GainProvenance("absolute", "a table", shape_error=values)
+    whole = Instrument(
+        "mine", 50.0, 6.0, 0.0, nu, {"X": 45.0}, 3.0 * values, np.ones(4), {"50 m": values},
+        [AntennaRecord("S1", 0, "50 m")], gain_provenance=provenance, stages=stages,
+    )  # fmt: skip
+    whole = replace(whole, alternatives={"colder": [replace(whole, antenna_gain=2.0 * values)]})
+    ours, at = whole.on_channels(nu[[0, 2, 3]]), [0, 2, 3]
+    (colder,) = ours.alternatives["colder"]
+    found = [
+        ours.antenna_gain / 3.0, ours.cables["50 m"], ours.gain_provenance.shape_error, ours.stages[0].gain,
+        ours.stages[0].noise_k / 100, colder.antenna_gain / 2.0,
+    ]  # fmt: skip
+    for one in found:
+        np.testing.assert_allclose(one, values[at], rtol=1e-12)
+    assert ours.stages[1] == stages[1]
 
 
 def test_the_own_sky_may_be_wrong_and_one_that_is_given_is_taken_at_its_word(simulation):

@@ -385,7 +385,8 @@ def test_flagged_spectra_stay_in_the_file_and_are_left_out_when_read(two_station
     rows = len(two_stations)
     flag = np.full(rows, "", dtype="U5")
     flag[[2, 5]] = "storm"
-    write_spectra(replace(two_stations, flag=flag), tmp_path / "s.h5")
+    power = np.where((flag != "")[:, None], np.nan, two_stations.power)
+    write_spectra(replace(two_stations, flag=flag, power=power), tmp_path / "s.h5")
     with h5py.File(tmp_path / "s.h5") as file:
         assert len(file["power"]) == rows
     read = read_spectra(tmp_path / "s.h5")
