@@ -322,6 +322,14 @@ class CalibrationCurve:
         """Whether C is known, shape (freq,)."""
         return np.asarray(self.flags != OUTSIDE)
 
+    @property
+    def typical_error(self) -> float:
+        """Median over the channels of the whole error as a fraction of C; NaN without a C."""
+        if self.c is None or self.c_sigma_stat is None:
+            return math.nan
+        sys = np.zeros_like(self.c) if self.c_sigma_sys is None else self.c_sigma_sys
+        return float(np.nanmedian(np.hypot(self.c_sigma_stat, sys) / self.c))
+
     def filled(self, values: Floats) -> Floats:
         """Values of all channels, shape (freq,); of one without a value, between or beside those that have one."""
         at = self.has_value

@@ -140,7 +140,9 @@ class StationSearch:
         said, told = self._say(before, sentences, gains)
         beyond = 2.0 * self.policy.likelier
         best = named[0] if named else None
-        if said is None or (best and (said.gain < best.gain + beyond or self._is_alike(before, said, best))):
+        if said is None or (
+            best and (said.gain < self._with_second(best, said) + beyond or self._is_alike(before, said, best))
+        ):
             spoken = [(one.hypothesis, one.gain) for one in told]
             if said is not None:
                 # Scores are of the first order: what the likeliest lost as it was fitted, the others lose as well.
@@ -149,7 +151,8 @@ class StationSearch:
             beside = [
                 replace(one, sentences=[other for other, gain in spoken if one.gain - gain < beyond]) for one in named
             ]
-            most = max((gain for _, gain in spoken), default=-np.inf)
+            # Where unseen events refuse the likeliest, what it is likelier than by far is no explanation either.
+            most = max([one.gain for one in named] + [gain for _, gain in spoken], default=-np.inf)
             compared = _compare(beside, spoken[:1])
             return compared[:1] + [one for one in compared[1:] if one.gain + beyond > most]
         self.again, self.impossible = None, None
@@ -192,6 +195,21 @@ class StationSearch:
             if self.held_out_gain(before, said) > 0:
                 return said, sentences[k:]
         return None, []
+
+    def _with_second(self, named: Candidate, said: Candidate) -> float:
+        """The gain of a cause, with the same once more in its target where a sentence that describes both gains more.
+
+        Two steps of an antenna are one spell of a course as well.
+        """
+        cause, target, chance = named.score.cause, named.score.target, chance_of(named.score)
+        if said.gain < named.gain or said.score.target.label != target.label:
+            return named.gain
+        scores = scan(named.model.linear, [cause], [target], self.seed)
+        others = [one for one in scores if cause.is_another(one.template, named.model.hypotheses[-1].template)]
+        second = _fit(named.model, others[0], self.policy) if others else None
+        if second is None or not _is_possible(second.model):
+            return named.gain
+        return named.gain + max(gain_in_chi_squared(named.model, second.model) - chance, 0.0)
 
     def _is_alike(self, before: FittedModel, said: Candidate, named: Candidate) -> bool:
         """Whether a sentence says of a target what a cause does, and fits no better: the name then tells more."""

@@ -40,6 +40,8 @@ SLOW_STEP_US = 10 * DAY_US
 """C along a ramp or season is served for the middle of so long a time: what is cached stays true in it, and five days
 of a season are 9 % of its amplitude."""
 SAMPLED_US = 30 * DAY_US
+REACH = 2.0
+"""Standard deviations of its date from a change within which an instant may be of its other side."""
 
 
 @dataclass(frozen=True)
@@ -299,6 +301,7 @@ class Calibrations:
             warnings = [
                 *(_warn_over(cut, promotion, version, at) for cut in over),
                 *_warn_of_both(path, version, of_antenna, have_spectra),
+                *_warn_near(path, epoch, at, of_antenna, version),
                 *(doubts[of] for of in (path, version.id) if of in doubts),
                 *(one.sentence for one in newer if one.has_c and one.scope != scope),
             ]
@@ -368,8 +371,9 @@ class Calibrations:
         ends = {as_of}.union(*edges.values())
         followed = range(min(ends) // SLOW_STEP_US * SLOW_STEP_US, max(ends), SLOW_STEP_US)
         for change in kept:
+            near = round(REACH * change.change.sigma)
             for cut in change.cuts:
-                edges.setdefault(cut.station, set()).add(cut.date)
+                edges.setdefault(cut.station, set()).update((cut.date, cut.date - near + 1, cut.date + near))
             if change.slow is not None:
                 edges.setdefault(change.change.station, set()).update(followed)
         everywhere = edges.get(None, set())
@@ -433,6 +437,19 @@ def _warn_of_both(
             who, day = name_path(path.station, path.antenna), format_instant(date)[:10]
             told = f"{who} changed on {day} (change {one.number})"
             yield f"{told}: C in effect was fitted to spectra of before and after"
+
+
+def _warn_near(path: Scope, epoch: Epoch, at: Instant, of_antenna: ByAntenna, version: Version) -> Iterator[str]:
+    """Warnings about an instant of which the date of a change leaves open on which side it is, if C has less error."""
+    ends = {epoch.because: (epoch.start, epoch.start_sigma), epoch.ended_by: (epoch.end, epoch.end_sigma)}
+    for one in _of(of_antenna, path.station, path.antenna):
+        date, sigma = ends.get(one.number, (None, 0))
+        if date is None or abs(at - date) >= REACH * sigma or not concerns(one, path.antenna, path.dipole):
+            continue
+        if path.dipole is None or abs(one.change.size or math.inf) > version.curve_of(path.dipole).typical_error:
+            who, day = name_path(path.station, path.antenna), format_instant(date)[:10]
+            told = f"{who} changed on {day} ± {sigma / DAY_US:.1f} days (change {one.number})"
+            yield f"{told}: C may still be that of the other side"
 
 
 def _find_epoch(path: Scope, at: Instant, of_antenna: ByAntenna, records: Sequence[AntennaRecord]) -> Epoch:

@@ -184,6 +184,20 @@ def test_a_name_goes_that_describes_a_part_of_what_one_sentence_describes(chain,
 
 
 @pytest.mark.long
+def test_two_steps_of_an_antenna_are_no_spell(chain, sky, simulation):
+    """One sentence, a Gaussian since a date, gains more than either step alone."""
+    steps = {"2014-04-11": 0.08, "2014-09-08": -0.05}
+    faults = [GainStep(size=size, where=Where(antennas=(2,)), date=date) for date, size in steps.items()]
+    spectra = simulate_campaign(SETTINGS, chain, sky, np.random.default_rng(SEED), faults).spectra
+    report = search_station(gather_stations(spectra, simulation)[0])
+    found = sorted((one.hypothesis for one in report.findings), key=lambda one: one.template.parameters["date_unix"])
+    assert [(one.cause.identifier, one.target.label) for one in found] == [("gain_step", "antenna 2")] * 2
+    for one, size in zip(found, (0.08, -0.05 / 1.08), strict=True):
+        assert one.size == pytest.approx(size, abs=3 * one.uncertainty)
+    assert report.structure is None
+
+
+@pytest.mark.long
 def test_a_name_in_an_antenna_stays_beside_a_sentence_of_the_station(chain, sky, simulation):
     """Of the station the means alone tell where the sky is free: the step of an antenna gained nothing in them."""
     faults = [MainsHum(size=0.03), GainStep(size=0.025, where=Where(antennas=(2,)), date="2014-08-07")]

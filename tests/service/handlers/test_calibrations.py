@@ -558,6 +558,28 @@ def test_an_answer_has_its_epoch_and_says_why(client: TestClient, stored: Stored
     assert reference["epoch"] == curve["epoch"]
 
 
+@pytest.mark.parametrize(("size", "is_told"), [(None, True), (-0.3, True), (0.001, False)])
+def test_near_a_date_that_is_not_known_well_c_is_uncertain_where_the_change_is_more_than_its_error(
+    client: TestClient, stored: Stored, factory: Factory, size: float | None, *, is_told: bool
+) -> None:
+    """Between two campaigns C of before a step of 30 % was served as right, until the middle of the months between."""
+    promote(client, stored["path"], "2014-01-01", "2015-01-01")
+    paths = [{"station": "CS001", "antenna": 0, "dipole": "X"}]
+    body = {"paths": paths, "kind": "step", "at": {"value": "2015-01-01", "sigma_days": 50.0}, "reason": "test"}
+    if size is not None:
+        body |= {"size": {"value": size, "sigma": 0.0001}}
+    assert client.post("/v1/changes", json=body).status_code == 201
+    said = "CS001 antenna 0 changed on 2015-01-01 ± 50.0 days (change 1): C may still be that of the other side"
+    told = [str(ask(client, at, **PATH).json()["curves"][0]["flag_reason"]) for at in DAYS_ABOUT]
+    assert [said in one for one in told] == [False, is_told, is_told]
+    edges = client.get("/v1/calibrations/edges", params={"as_of": format_instant(factory.clock())}).json()["stations"]
+    (own,) = (one["edges"] for one in edges if one["station"] == "CS001")
+    assert {"2014-09-23T00:00:00.000001Z", "2015-04-11T00:00:00Z"} <= set(own)
+
+
+DAYS_ABOUT = "2014-09-22", "2014-09-24", "2014-12-31"
+
+
 def test_changes_in_force_bound_the_epoch_of_their_antenna_and_are_edges(
     client: TestClient, stored: Stored, factory: Factory
 ) -> None:
