@@ -33,10 +33,10 @@ from lbacal_core.audit.record import NOT_NAMED, name_mistake
 from lbacal_core.calibration.chain_test import LIKELY_MISTAKE
 from lbacal_core.calibration.left_open import widen_by_open_terms
 from lbacal_core.calibration.one_event import ErrorOfC, measure_error
-from lbacal_core.calibration.paths import LEAST_COVERAGE
+from lbacal_core.calibration.paths import LEAST_COVERAGE, is_undetermined
 from lbacal_core.calibration.singles import MIN_EVENTS
 from lbacal_core.causes.model import Model
-from lbacal_core.curves.curves import CONVERGED, MISFIT, NOT_IDENTIFIABLE, Anomalies, CalibrationCurve, FitReport
+from lbacal_core.curves.curves import CONVERGED, MISFIT, Anomalies, CalibrationCurve, FitReport
 from lbacal_core.curves.galcal import describe_made_with
 from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.discovery.forward import divide_out
@@ -161,7 +161,7 @@ def fit(
     tell(f"fit {len(measured)} spectra")
     seen = simulation.smeared(measured)
     report = widen_by_open_terms(calibrate(measured, seen, scope), read_open_terms(with_, "with_"))
-    if simulation.is_own_sky and sum(_has_no_c(curve) for curve in report.curves) > len(report.curves) / 2:
+    if simulation.is_own_sky and sum(is_undetermined(curve) for curve in report.curves) > len(report.curves) / 2:
         mistake = name_mistake(measured, seen)
         if mistake != NOT_NAMED:
             report = replace(report, provenance=report.provenance.with_note(LIKELY_MISTAKE, mistake))
@@ -227,7 +227,7 @@ def _describe_rest(report: FitReport, simulation: Simulation, spectra: int) -> I
         if curve.c is None:
             events = f"{curve.events} events{f', {MIN_EVENTS} needed' if curve.events < MIN_EVENTS else ''}"
             needed = f", {LEAST_COVERAGE:.2f} needed" if curve.lst_coverage < LEAST_COVERAGE else ""
-            reason = f": {UNKNOWN}" if _has_no_c(curve) else ""
+            reason = f": {UNKNOWN}" if is_undetermined(curve) else ""
             yield f"{curve.name}: {curve.status} ({events}, LST coverage {curve.lst_coverage:.2f}{needed}){reason}"
     reasons = [curve.merged.reason for curve in report.curves if curve.merged is not None]
     for reason in dict.fromkeys(reasons):
@@ -254,11 +254,6 @@ def _describe_unsteady(report: FitReport) -> Iterator[str]:
                 f"{name}: its power scatters by {100 * scatter:.0f} % from event to event, that of the typical path by "
                 f"{100 * typical:.0f} %: it changed, or fails at times, and C is that of the mean"
             )
-
-
-def _has_no_c(curve: CalibrationCurve) -> bool:
-    """Whether the data of a path with enough events at enough sidereal times do not determine C."""
-    return curve.status == NOT_IDENTIFIABLE and curve.lst_coverage >= LEAST_COVERAGE
 
 
 def _describe_chain(chain: ReferenceChain) -> str:

@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from lbacal_core.calibration.singles import FEWEST_EVENTS, MIN_EVENTS, SingleFits, fit_singles, relative_variance_of
 from lbacal_core.calibration.spreads import SinglePaths, join_paths
-from lbacal_core.curves.curves import Anomaly
+from lbacal_core.curves.curves import NOT_IDENTIFIABLE, Anomaly, CalibrationCurve
 from lbacal_core.curves.kept_lines import MemberLines, Owner, join_away, join_members
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
@@ -32,6 +32,11 @@ MIN_LST_BINS = 24
 """A quarter of the sidereal day: less sees the Galaxy neither rise nor set."""
 LEAST_COVERAGE = MIN_LST_BINS / LST_BINS
 SHARE_OF_STEADY_PATHS = 0.5
+
+
+def is_undetermined(curve: CalibrationCurve) -> bool:
+    """Whether the data of a path with enough events at enough sidereal times do not determine C."""
+    return curve.status == NOT_IDENTIFIABLE and curve.lst_coverage >= LEAST_COVERAGE
 
 
 @dataclass(frozen=True)

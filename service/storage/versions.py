@@ -10,16 +10,19 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from sqlalchemy import ColumnElement, Connection, Row, and_, or_, select
+from sqlalchemy import ColumnElement, Connection, Row, and_, case, or_, select
 
 from lbacal.instants import SECOND_US
+from lbacal_core.calibration.paths import is_undetermined
 from lbacal_core.calibration.spreads import ServedCurve, carry_to_path
 from lbacal_core.curves.covariance import Budget
 from lbacal_core.curves.curves import (
     CONVERGED,
     MISFIT,
     NONE,
+    NOT_IDENTIFIABLE,
     STATUSES,
+    WITH_VALUES,
     Anomalies,
     CalibrationCurve,
     parse_anomalies,
@@ -283,11 +286,14 @@ class Waiting(NamedTuple):
     since: Instant
     until: Instant
     status: str
+    curves: str | None
+    """Canonical JSON of what is not identifiable; None otherwise."""
 
     @property
-    def has_c(self) -> bool:
-        """Whether the gate alone keeps C of its own from who is answered by others."""
-        return self.status in (CONVERGED, MISFIT)
+    def doubts_wider(self) -> bool:
+        """Whether it speaks against the answer of others: by C of its own, or by data that should have given it."""
+        undetermined = (is_undetermined(parse_curve(curve)) for curve in json.loads(self.curves or "[]"))
+        return self.status in WITH_VALUES or any(undetermined)
 
     @property
     def sentence(self) -> str:
@@ -420,7 +426,8 @@ class VersionStore(Store):
         inside = [] if at is None else [calibration.c.since_us <= at, calibration.c.until_us > at]
         inside += [] if scopes is None else [calibration.c.scope.in_({scope.key for scope in scopes})]
         names = ("id", "scope", "gate", "made_us", "since_us", "until_us", "status")
-        statement = select(*(calibration.c[name] for name in names))
+        curves = case((calibration.c.status == NOT_IDENTIFIABLE, calibration.c.curves))
+        statement = select(*[*(calibration.c[name] for name in names), curves])
         statement = statement.where(IS_GATED, *inside, ~promoted, ~_has_newer(), ~is_over)
         rows = self._connection.execute(statement.order_by(calibration.c.made_us, calibration.c.id))
         return [Waiting(row.id, parse_scope(row.scope), *row[2:]) for row in rows]

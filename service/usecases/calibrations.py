@@ -303,7 +303,7 @@ class Calibrations:
                 *_warn_of_both(path, version, of_antenna, have_spectra),
                 *_warn_near(path, epoch, at, of_antenna, version),
                 *(doubts[of] for of in (path, version.id) if of in doubts),
-                *(one.sentence for one in newer if one.has_c and one.scope != scope),
+                *(one.sentence for one in newer if one.doubts_wider and one.scope != scope),
             ]
             changed = next(filter(None, warnings), None)
             slow = find_slow(scope, of_antenna)

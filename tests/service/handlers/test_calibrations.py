@@ -98,6 +98,26 @@ def test_a_gap_and_what_is_held_over_it_name_the_version_that_waits(
     assert wider["flag_reason"].startswith(said), "every channel was ok"
 
 
+@pytest.mark.parametrize(
+    ("status", "coverage", "is_told"),
+    [("not_identifiable", 0.7, True), ("not_identifiable", 0.1, False), ("too_few_events", 0.7, False)],
+)
+def test_a_path_that_hears_no_sky_was_served_the_mean_of_its_station_as_ok(
+    client: TestClient, stored: Stored, factory: Factory, status: str, coverage: float, is_told: bool
+) -> None:
+    blind = new_version(Scope("CS001", 0, "X"), "blind", status=status, made=stored["path"].made + 1, gate=status)
+    with factory.database.write() as stores:
+        stores.versions.add([replace(blind, curves=[replace(one, lst_coverage=coverage) for one in blind.curves])])
+    promote(client, stored["station"], "2014-01-01", "2015-01-01")
+    own, other = (ask(client, "2014-03-01", **PATH | {"antenna": a}).json()["curves"][0] for a in (0, 1))
+    said = f"version {blind.id[:12]} of CS001 antenna 0 X cannot be promoted ({status})"
+    assert (own["answered_by"], set(own["flag"])) == ("station", {"uncertain"})
+    assert own["flag_reason"].startswith(said) == is_told
+    assert said not in other["flag_reason"]
+    rows = ask(client, "2014-03-01", format="csv", **PATH).text
+    assert (said in rows) == is_told
+
+
 def test_why_names_the_step_that_a_person_dismissed(client: TestClient, stored: Stored) -> None:
     """The alarm and the life of the path named it, and what is served as the mean over it did not."""
     body = {"paths": [{"station": "CS001", "antenna": 0}], "at": {"value": "2014-07-01"}, "reason": "test"}
