@@ -121,13 +121,16 @@ class Factory:
         return Predictions(self.calibrations, self.simulation, self.fits)
 
     @cached_property
+    def gate(self) -> Gate:
+        """The limits that new versions pass to go into effect."""
+        return Gate(*(getattr(self.settings, f"gate_{name}") for name in ("change", "error", "coverage", "band")))
+
+    @cached_property
     def refits(self) -> Refits:
         """New versions."""
         from service.usecases.refits import Refits
 
-        limits_of_gate = ("gate_change", "gate_error", "gate_coverage", "gate_band")
-        gate = Gate(*(getattr(self.settings, name) for name in limits_of_gate))
-        return Refits(self.database, self.simulation, self.fits, gate, self.settings, self._name_now, self.clock)
+        return Refits(self.database, self.simulation, self.fits, self.gate, self.settings, self._name_now, self.clock)
 
     @cached_property
     def fits(self) -> Fits:
@@ -165,7 +168,7 @@ class Factory:
     @cached_property
     def changes(self) -> Changes:
         """Changes of paths, and the decisions on them."""
-        return Changes(self.database, self.full_instrument, self.promotions, lambda: self.fits, self.clock)
+        return Changes(self.database, self.full_instrument, self.promotions, lambda: self.fits, self.gate, self.clock)
 
     @cached_property
     def lives(self) -> Lives:

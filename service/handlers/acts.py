@@ -90,11 +90,12 @@ def _number(target: str) -> int:
 
 def _decide(use: Factory, target: str, body: bodies.DecisionBody, by: str) -> Foreseen:
     number = _number(target)
-    kept, changes = use.changes.foresee(number, body, by)
+    kept, changes, left_out = use.changes.foresee(number, body, by)
     one, verb = kept.change, "is in force" if body.decision == "in_force" else "is dismissed"
     whose = f"{name_path(one.station)}{' antenna ' + ', '.join(map(str, one.antennas)) if one.antennas else ''}"
     sentence = f"Change {number} of {whose} on {format_instant(one.date)[:10]} {verb}; the next night refits."
-    return Foreseen([sentence], lambda: use.changes.decide(number, body, by), changes)
+    told = [sentence, *_tell_left_out(left_out)]
+    return Foreseen(told, lambda: use.changes.decide(number, body, by), changes)
 
 
 def _acknowledge(use: Factory, target: str, body: bodies.AcknowledgementBody, by: str) -> Foreseen:
@@ -113,8 +114,12 @@ def _roll_back(use: Factory, target: str, body: bodies.ReasonBody, by: str) -> F
 
 def _of_plan(use: Factory, plan: Plan) -> Foreseen:
     promoted = f"{write_count(len(plan.wanted), 'promotion')} to write into the ledger, undone by rolling back."
-    left_out = [f"{name}: left out, {why}" for name, why in plan.left_out.items()]
-    return Foreseen([promoted, *left_out], lambda: use.promotions.promote(plan, lambda *_: None), plan.changes)
+    told = [promoted, *_tell_left_out(plan.left_out)]
+    return Foreseen(told, lambda: use.promotions.promote(plan, lambda *_: None), plan.changes)
+
+
+def _tell_left_out(left_out: Mapping[str, str]) -> list[str]:
+    return [f"{name}: left out, {why}" for name, why in left_out.items()]
 
 
 def _tag(use: Factory, target: str, body: bodies.TagBody, by: str) -> Foreseen:

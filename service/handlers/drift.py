@@ -202,9 +202,9 @@ def decide_change(
     that has ended, or of which this is decided already, is 409. `dry_run=true` answers 200 and writes nothing.
     """
     wanted = parse_body(DecisionBody, body)
-    foreseen, of_c = use.changes.foresee(number, wanted, caller.name)
+    foreseen, of_c, left_out = use.changes.foresee(number, wanted, caller.name)
     decided = foreseen if dry_run else use.changes.decide(number, wanted, caller.name)
-    content = {**describe_change(decided, use), "changes": describe_changes(of_c)}
+    content = {**describe_change(decided, use), "changes": describe_changes(of_c), "left_out": left_out}
     return answer(request, content, status=200 if dry_run else 201)
 
 

@@ -280,8 +280,16 @@ class KeptChange:
     @property
     def steps(self) -> list[Cut]:
         """The step of each antenna, while it is in force, however badly its date is known; none that is on record."""
+        return self._list_steps() if self.stands else []
+
+    @property
+    def dismissed_steps(self) -> list[Cut]:
+        """The same of one that a person dismissed: a window that is whole again holds it."""
+        return self._list_steps() if self.decision == DISMISSED else []
+
+    def _list_steps(self) -> list[Cut]:
         one, is_on_record = self.change, any(by.source == RECORD and by.ended is None for by in self.evidence)
-        if one.kind != STEP or not self.stands or is_on_record:
+        if one.kind != STEP or is_on_record:
             return []
         power = None if one.size is None else (1.0 + one.size) ** -2.0  # C^2 is proportional to 1 / power
         power = None if power is None or abs(math.log(power)) > LARGEST_TAKEN_OUT else power

@@ -26,7 +26,6 @@ from service.storage.changes import (
     SEASON,
     STEP,
     Change,
-    Cut,
     Decision,
     Evidence,
     KeptChange,
@@ -37,7 +36,7 @@ from service.storage.models import Investigation
 from service.storage.versions import Version
 from service.usecases.calibrations import find_slow, follow_through, group_by_antenna, select_paths
 from service.usecases.drift import year_of
-from service.usecases.gate import compare_curves
+from service.usecases.gate import Gate, compare_curves
 from service.usecases.promotions import Change as ChangeOfC
 from service.usecases.promotions import Promotions
 from service.wire.bodies import ChangeBody, DecisionBody
@@ -96,6 +95,7 @@ class Changes:
     instrument: Instrument
     promotions: Promotions
     find_fits: Callable[[], Fits]
+    gate: Gate
     clock: Callable[[], Instant]
 
     def list_all(self, station: str | None = None) -> list[KeptChange]:
@@ -119,20 +119,21 @@ class Changes:
             decided = stores.changes.decide(kept.number, Decision(body.decision, self.clock(), by, body.reason))
             return mark_refitted(stores, [decided], self.instrument.dipoles)[0]
 
-    def foresee(self, number: int, body: DecisionBody, by: str) -> tuple[KeptChange, list[ChangeOfC]]:
-        """The change as it would be decided, and what that does to the curves of its paths, by fits of the year."""
+    def foresee(self, number: int, body: DecisionBody, by: str) -> tuple[KeptChange, list[ChangeOfC], dict[str, str]]:
+        """The change as it would be decided, and what that does to the curves of its paths, by fits of the year.
+
+        And the versions that the gate would keep back, with its objections.
+        """
         with self.database.read() as stores:
             kept = _require_open(stores.changes.get(number), body.decision)
             said = Decision(body.decision, self.clock(), by, body.reason)
             then = replace(kept, decisions=(*kept.decisions, said))
             others = [one for one in stores.changes.kept(kept.change.station) if one.number != number]
             if kept.slow or then.slow:
-                return then, list(self._follow(stores, [*others, kept], [*others, then], kept))
+                return then, list(self._follow(stores, [*others, kept], [*others, then], kept)), {}
         if not [*kept.cuts, *then.cuts]:
-            return then, []
-        window = year_of(kept.change.date)
-        cuts = [cut for one in (*others, then) for cut in one.cuts]
-        return then, self._fit(kept.change, window, cuts, by)
+            return then, [], {}
+        return then, *self._fit(kept.change, year_of(kept.change.date), [*others, then], by)
 
     def _follow(
         self, stores: Stores, before: Sequence[KeptChange], after: Sequence[KeptChange], kept: KeptChange
@@ -154,9 +155,12 @@ class Changes:
             if most is not None and most.max_fraction > 0.0:
                 yield ChangeOfC(path, one.start, one.end, version.id, version.id, most)
 
-    def _fit(self, change: Change, window: tuple[Instant, Instant], cuts: Sequence[Cut], by: str) -> list[ChangeOfC]:
+    def _fit(
+        self, change: Change, window: tuple[Instant, Instant], then: Sequence[KeptChange], by: str
+    ) -> tuple[list[ChangeOfC], dict[str, str]]:
         from service.usecases.fits import Wanted
 
+        cuts = [cut for one in then for cut in one.cuts]
         fits, versions = self.find_fits(), list[Version]()
         paths = select_paths(self.instrument, change.station, None, None)
         scopes = [path for path in paths if not change.paths or path.antenna in change.antennas]
@@ -171,7 +175,12 @@ class Changes:
                     continue
                 neighbours = fits.find_neighbours(stores, wanted, cuts)
                 versions += fits.make(fits.fit_causes(spectra, model), wanted, neighbours).versions
-            return self.promotions.foresee(stores, [one for one in versions if one.scope in scopes], by, "")
+            versions = [one for one in versions if one.scope in scopes]
+            told = dict[str, str | None]()
+            for span in {one.window for one in versions}:
+                told |= self.gate.judge(stores, [one for one in versions if one.window == span], then)
+            passed = [one for one in versions if told[one.id] is None]
+            return self.promotions.foresee(stores, passed, by, ""), {name: why for name, why in told.items() if why}
 
     def _read(self, body: ChangeBody) -> Change:
         """What a person says, held against the instrument."""

@@ -26,10 +26,12 @@ from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import BadInputError, write_change, write_percent
 from lbacal_core.grids import Floats, require_same_grid
-from service.storage.changes import RAMP, SAME_DATE, Change, Cut
+from service.storage.changes import RAMP, SAME_DATE, Change, Cut, KeptChange
+from service.storage.database import Stores
 from service.storage.ledger import LedgerStore
 from service.storage.models import ModelChange
 from service.storage.versions import OF_OTHERS, Version, mean_over_band
+from service.usecases.calibrations import find_slow, group_by_antenna
 
 # How far two calibration curves differ, channel by channel.
 
@@ -277,6 +279,25 @@ class Gate:
     error: float
     coverage: float
     band: float
+
+    def judge(self, stores: Stores, made: Sequence[Version], kept: Sequence[KeptChange]) -> dict[str, str | None]:
+        """Objections to versions of one window by their ids, with the changes of their station as they are decided.
+
+        A window that is whole again, as a person dismissed a change, holds its step, and its parts do not.
+        """
+        since, until = made[0].window
+        before = find_predecessors(stores.ledger, [v.scope for v in made], (since + until) // 2)
+        versions = stores.versions.get_many(before.values())
+        model_change = stores.models.last_change(made[0].scope.station, since, until)
+        steps = [step for one in kept for step in one.steps]
+        dismissed = [step for one in kept for step in one.dismissed_steps]
+        of_antenna, found = group_by_antenna(kept), dict[str, str | None]()
+        for v in made:
+            predecessor = versions.get(before.get(v.scope, ""))
+            inside = [one for one in dismissed if predecessor and predecessor.is_over(one.date) < v.is_over(one.date)]
+            slow = [one.slow for one in find_slow(v.scope, of_antenna) if one.slow]
+            found[v.id] = self.objection(v, predecessor, model_change, [*steps, *inside], slow)
+        return found
 
     def objection(
         self,

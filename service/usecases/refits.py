@@ -27,7 +27,7 @@ from service.storage.models import ADOPTED, Gain
 from service.storage.processes import SCHEDULER
 from service.storage.sums import KeptPiece, Served, ServedKey, Sums, read_pieces
 from service.storage.versions import Examined, Version
-from service.usecases.calibrations import find_slow, group_by_antenna, select_paths
+from service.usecases.calibrations import select_paths
 from service.usecases.fits import (
     SMALLEST_SHIFT,
     Fits,
@@ -40,7 +40,7 @@ from service.usecases.fits import (
     read_part,
     read_served,
 )
-from service.usecases.gate import Gate, find_predecessors, find_shift
+from service.usecases.gate import Gate, find_shift
 from service.usecases.orders import name_inputs, place_order, read_window
 from service.usecases.retractions import withdraw_retracted
 from service.usecases.windows import ALONE, Neighbours
@@ -200,23 +200,14 @@ class Refits:
         Where windows are again what they were, the version of then answers again, if C hardly moved since.
         """
         since, until = made[0].window
-        middle = (since + until) // 2
         scopes = [version.scope for version in made]
         changes = {scope: neighbours.changes_of(scope) for scope in scopes}
-        before = find_predecessors(stores.ledger, scopes, middle)
         standing = find_standing(stores, scopes, since, until)
         own = {scope: said[scope, since, until] for scope in scopes if (scope, since, until) in said}
         aside = {scope: one.calibration for scope, one in own.items() if standing.get(scope) != one.calibration}
-        versions = stores.versions.get_many({*before.values(), *standing.values(), *aside.values()})
-        change = stores.models.last_change(part.request["station"], since, until)
+        versions = stores.versions.get_many({*standing.values(), *aside.values()})
         superseded, kept_changes = _explain_other_model(stores, part), stores.changes.kept(part.request["station"])
-        steps, of_antenna = [step for one in kept_changes for step in one.steps], group_by_antenna(kept_changes)
-
-        def object_to(v: Version) -> str | None:
-            slow = [one.slow for one in find_slow(v.scope, of_antenna) if one.slow]
-            return self.gate.objection(v, versions.get(before.get(v.scope, "")), change, steps, slow)
-
-        gated = {v.id: superseded or object_to(v) for v in made}
+        gated = {name: superseded or told for name, told in self.gate.judge(stores, made, kept_changes).items()}
         rest = _find_rest(stores, scopes, since, until) if part.is_due else {}
         waiting = {scope: told for scope, (spans, told) in rest.items() if not spans}
         examined = dict[Scope, Examined]()

@@ -633,6 +633,7 @@ class DecidedAnswer(PathChangeAnswer):
     """A change as it is decided, and the curves that its paths would be served by fits of its year."""
 
     changes: list[ChangeAnswer]
+    left_out: dict[str, str] = Field(description="versions that the gate will keep back, and why")
 
 
 # What answers about the models of stations look like, for the OpenAPI document.

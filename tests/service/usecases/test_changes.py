@@ -60,7 +60,7 @@ def test_a_decision_tells_what_a_slow_change_does_to_c_in_every_year(factory: Fa
     }  # fmt: skip
     kept = factory.changes.enter(ChangeBody.model_validate(body), "test")
     dismissed = DecisionBody(decision="dismissed", reason="it was none")
-    _, changes = factory.changes.foresee(kept.number, dismissed, "test")
+    _, changes, _ = factory.changes.foresee(kept.number, dismissed, "test")
     told = [(one.path, one.start, one.end, one.after) for one in changes]
     moved = versions[1:] if kind == "ramp" else versions
     assert told == [(path, *one.window, one.id) for one in moved], "before a ramp C stands still"

@@ -10,7 +10,8 @@ import pytest
 from lbacal_core.calibration.slow_changes import YEAR_S, SlowChange
 from lbacal_core.curves.curves import CONVERGED, TOO_FEW_EVENTS, CalibrationCurve
 from lbacal_core.curves.validity import Promotion, Scope
-from service.storage.changes import Cut
+from service.factory import Factory
+from service.storage.changes import STEP, Change, Cut, Decision, Evidence, KeptChange
 from service.storage.models import Announced, ModelChange
 from service.storage.versions import Version
 from service.usecases.gate import (
@@ -22,6 +23,7 @@ from service.usecases.gate import (
     tell_change,
     tell_shapes,
 )
+from tests.service.conftest import instant, new_version
 
 GATE = Gate(change=0.1, error=0.05, coverage=0.4, band=0.7)
 PATH = Scope("CS001", 0, "X")
@@ -194,6 +196,27 @@ def test_the_predecessor_covers_the_middle_of_the_window_or_is_nearest_in_time(f
 def test_in_a_gap_the_last_version_before_it_is_the_predecessor(factory, stored, last, middle):
     promote(factory, stored, (PATH, 0, 100, "path"), *last)
     assert predecessor(factory, PATH, middle) == stored["path"].id
+
+
+def test_a_window_that_is_whole_again_waited_for_the_step_that_a_person_had_dismissed(factory: Factory) -> None:
+    """Only where what is in effect is of one side of it: later a jump of the whole window is a jump."""
+    half, year = instant("2014-07-01"), (instant("2014-01-01"), instant("2015-01-01"))
+    pieces = [
+        new_version(PATH, f"{level}", level, since=since, until=until)
+        for level, since, until in ((1.0, year[0], half), (1.3, half, year[1]))
+    ]
+    whole, other = (new_version(PATH, name, 1.15) for name in ("whole", "other"))
+    change = Change("CS001", ((0, "X"),), STEP, half, 0, 0.3, 0.01)
+    found, said = Evidence("drift", "x", 9.0, 1), Decision("dismissed", 2, "a person", "snow")
+    kept = KeptChange(1, change, 1, (found,), (said,))
+    with factory.database.write() as stores:
+        stores.versions.add([*pieces, other])
+        stores.ledger.append([Promotion(0, PATH, *one.window, one.id, 0) for one in pieces], factory.clock)
+        asked = [GATE.judge(stores, [whole], of)[whole.id] for of in ([kept], [])]
+        assert (asked[0], "differs by -11.5%" in str(asked[1])) == (None, True)
+        stores.ledger.append([Promotion(0, PATH, *year, other.id, 0)], factory.clock)
+        jump = new_version(PATH, "jump", 1.3)
+        assert "differs by +13.0%" in str(GATE.judge(stores, [jump], [kept])[jump.id])
 
 
 def with_model(one: Version, model: str | None) -> Version:

@@ -578,3 +578,30 @@ def test_an_antenna_that_came_back_with_another_gain_waited_for_ever(bare: Facto
     assert answer().promotion.scope.antenna == 1
     assert "waits" not in answer().why
     assert night(bare) == []
+
+
+@pytest.mark.long
+def test_a_decision_announced_c_that_waited_at_the_gate_because_of_the_change_that_was_dismissed(
+    bare: Factory, campaign: Spectra
+) -> None:
+    """The mean over a step differs by more than 10 % from either side, which nobody could put into effect again."""
+    power, date = campaign.power.copy(), np.datetime64("2014-07-01", "s").astype(float)
+    power[(campaign.antenna == 1) & (campaign.time_unix >= date)] *= 0.55
+    add_spectra(bare, replace(campaign, power=power))
+    body = {
+        "paths": [{"station": "CS002", "antenna": 1}], "at": {"value": "2014-07-01"},
+        "size": {"value": 0.348, "sigma": 0.002}, "reason": "test",
+    }  # fmt: skip
+    number = bare.changes.enter(ChangeBody.model_validate(body), "test").number
+    night(bare)
+    dismissed, path = DecisionBody(decision="dismissed", reason="test"), Scope("CS002", 1, "X")
+    strict = replace(bare.changes, gate=replace(bare.gate, error=1e-9))
+    _, changes, left_out = strict.foresee(number, dismissed, "test")
+    assert (changes, {"at most 0.0% passes" in why for why in left_out.values()}) == ([], {True})
+    _, changes, left_out = bare.changes.foresee(number, dismissed, "test")
+    (after,) = {one.after for one in changes if one.path == path}
+    assert left_out == {}
+    bare.changes.decide(number, dismissed, "test")
+    night(bare)
+    for at in (instant("2014-03-01"), instant("2014-10-01")):
+        assert bare.calibrations.in_effect(at, [path]).curves[0].version.id == after
