@@ -35,15 +35,16 @@ def build_station(
     mean_loss = loss.mean(axis=(0, 1, 2))
     published, terms = read_table("published_calibration"), read_table("noise_terms")
     c_published = np.interp(frequency, published["mhz"], published["c"])
-    path_gain, own_response = settings.path_gain, settings.response
+    path_gain, own_response, to_antenna = settings.path_gain, settings.response, np.ones(1)
     if instrument.kelvin_error is not None:
-        # the laboratory has divided the receiver out
+        # the laboratory has divided receiver and cable out
         c_published, path_gain, own_response = np.full(frequency.size, KELVIN_W_MHZ**0.5), instrument.kelvin_error, 0.0
+        to_antenna = mean_loss / loss
     response = 1.0 / (c_published**2 * mean_loss * instrument.receiver_gain)
     scale = float(np.median(response))
     wave = np.cos(np.pi * np.outer((frequency - frequency[0]) / (np.ptp(frequency) or 1.0), [1, 2, 3]))
     departure = rng.normal(scale=own_response / 1.5**0.5, size=(1, len(scene.dipoles), 1, 3)) @ wave.T
-    antenna = instrument.antenna_gain * response / scale * np.exp(departure)
+    antenna = instrument.antenna_gain * response / scale * np.exp(departure) * to_antenna
     receiver = instrument.receiver_gain * scale
     gain = np.exp(rng.normal(scale=path_gain, size=(len(scene.antennas), len(scene.dipoles), 1, 1)))
     sky = scene.mean_sky.mean(axis=(0, 1, 2))

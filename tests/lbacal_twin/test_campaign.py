@@ -10,7 +10,7 @@ import pytest
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.data.tables import read_table
 from lbacal_core.errors import BadInputError, UnknownNameError
-from lbacal_core.instrument.antennas import AntennaRecord
+from lbacal_core.instrument.antennas import AntennaRecord, GainProvenance
 from lbacal_core.instrument.instrument import Instrument, parse_instrument
 from lbacal_core.instrument.sidereal import local_sidereal_time
 from lbacal_core.simulation.simulation import Simulation
@@ -34,6 +34,17 @@ def simulate(low_band: Instrument, two_waves: SkyPower) -> Simulate:
         return simulate_campaign(settings, instrument, two_waves, np.random.default_rng(seed), **more)
 
     return run
+
+
+def test_what_a_laboratory_has_calibrated_in_kelvin_is_the_same_through_every_cable(
+    simulate: Simulate, low_band: Instrument
+) -> None:
+    absolute = replace(low_band, gain_provenance=GainProvenance("absolute", "a test"), kelvin_error=1e-9)
+    campaign = simulate(replace(QUIET, antennas=2), instrument=absolute)
+    assert len({record.cable for record in low_band.antennas[:2]}) == 2
+    station = campaign.truth.stations[0].station
+    one, other = (campaign.truth.curve("X", station, antenna) for antenna in campaign.truth.stations[0].antennas)
+    np.testing.assert_allclose(one, other, rtol=1e-6)
 
 
 def test_without_scatter_every_spectrum_lies_on_the_line_that_the_truth_states(
