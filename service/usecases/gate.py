@@ -370,7 +370,8 @@ class Gate:
             if np.any(doubted) and not is_odd:
                 told += (
                     f"; in {doubted.sum()} another antenna, likelier than {LEAST_LIKELY:.0%} by these spectra, moves C "
-                    f"by more than {LARGEST_GOOD_ERROR:.0%}, and lbacal budget says which it may be"
+                    f"by more than {LARGEST_GOOD_ERROR:.0%}: lbacal budget says which it may be, and antenna_doubt of "
+                    "the instrument file is 0 where the antenna was measured"
                 )
             return told
         error = float(np.mean(curve.c_sigma_stat[is_good] / curve.c[is_good]))

@@ -143,6 +143,7 @@ def test_one_bad_channel_does_not_keep_a_curve_back_and_sixteen_do():
     doubted = GATE.objection(version(replace(flagged, c_sigma_stat=good.c_sigma_stat), made=200), None)
     assert doubted.startswith(objection)
     assert "in 16 another antenna, likelier than 1% by these spectra, moves C by more than 13%" in doubted
+    assert "antenna_doubt of the instrument file is 0 where the antenna was measured" in doubted
 
 
 def test_a_mean_without_members_says_why_it_has_no_events():
