@@ -39,7 +39,7 @@ from lbacal_core.sky.power import compute_sky_power
 from lbacal_core.sky.sky_terms import SkyTerm
 from lbacal_core.sky.table import SHORTEST_SMEARED_H, SkyPower
 from lbacal_core.spectra.blocks import Recorded
-from lbacal_core.spectra.spectra import BLOCK_S
+from lbacal_core.spectra.spectra import BLOCK_S, DAY_S
 
 SIDEREAL_HOUR_S = SIDEREAL_DAY_S / 24
 LARGEST_UNLIKE_H2 = 0.9
@@ -188,15 +188,19 @@ class Simulation:
 
         One duration stands for all, the root mean square: what a duration h takes of a harmonic goes with h^2.
         """
+        is_counted = spectra.duration_s is None
         given, unit = (spectra.blocks, BLOCK_S) if spectra.duration_s is None else (spectra.duration_s, 1.0)
         if len(spectra) == 0 or unit * given.max() < SHORTEST_SMEARED_H * SIDEREAL_HOUR_S:
             return self
-        seconds = unit * given
+        seconds, place = unit * given, f"{spectra.head.origin}: {'blocks' if is_counted else 'duration_s'}"
+        if seconds.max() > DAY_S:
+            of = " in blocks of 5.12 µs" if is_counted else ""
+            raise BadInputError(place, f"at most a day in a spectrum{of}", f"{seconds.max() / 3600:.2g} h")
         square = (seconds / SIDEREAL_HOUR_S) ** 2
         if np.mean(np.abs(square - square.mean())) > LARGEST_UNLIKE_H2:
             short, long = np.percentile(seconds, [5, 95]) / 3600
             expected = "durations that are alike: fit the short and the long integrations by themselves"
-            raise BadInputError(f"{spectra.head.origin}: duration_s", expected, f"{short:.2g} to {long:.2g} h")
+            raise BadInputError(place, expected, f"{short:.2g} to {long:.2g} h")
         return replace(self, given=self.sky_power.smeared(float(np.sqrt(square.mean()))), is_own_sky=self.is_own_sky)
 
     def sidereal_time(self, station: str | None, time_unix: Floats) -> Floats:

@@ -29,6 +29,8 @@ NO_SPECTRA = "expected a spectra file (HDF5), found something unreadable"
 DAY_S = 86_400.0
 BLOCK_S = 1024 / 200e6
 """Length of a block of LOFAR's transient buffer (1024 samples at 200 MHz), the unit of `blocks` in a spectra file."""
+WIDEST_OF_SPACING = 10
+"""Channels of filter banks overlap; a width of so many spacings is in another unit."""
 MAX_COVARIATES = 16
 """Covariates of one event."""
 _COVARIATE = re.compile(r"[a-z][a-z0-9_]{0,39}", re.ASCII)
@@ -161,6 +163,10 @@ class Spectra:
                 raise BadInputError(
                     f"{self.origin}: {name}, entry {bad[0]}", "a finite number > 0", f"{values[bad[0]]}"
                 )
+        spacing = np.abs(np.diff(self.frequency_mhz)).max(initial=0.0)
+        if self.width_mhz is not None and 0 < WIDEST_OF_SPACING * spacing < self.width_mhz.max():
+            most = f"at most {WIDEST_OF_SPACING} spacings of channels, {WIDEST_OF_SPACING * spacing:g} MHz"
+            raise BadInputError(f"{self.origin}: width_mhz", most, f"{self.width_mhz.max():g}")
 
     def _require_covariates(self, rows: int) -> None:
         known = np.zeros(rows, dtype=np.int64)

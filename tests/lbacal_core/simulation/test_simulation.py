@@ -158,6 +158,16 @@ def test_durations_that_are_unlike_are_refused_and_a_few_shorter_ones_are_not(si
         simulation.smeared(replace(two_stations, duration_s=3600 * hours))
 
 
+def test_blocks_that_are_more_than_a_day_were_told_as_durations_that_are_unlike(simulation, two_stations):
+    many = replace(two_stations, blocks=np.full(len(two_stations), 10**15))
+    with pytest.raises(
+        BadInputError, match=r"blocks: expected at most a day in a spectrum in blocks.*found 1\.4e\+06 h"
+    ):
+        simulation.smeared(many)
+    with pytest.raises(BadInputError, match=r"duration_s: expected at most a day in a spectrum, found 28 h"):
+        simulation.smeared(replace(many, duration_s=np.full(len(two_stations), 1e5)))
+
+
 def test_a_sky_power_on_other_channels_or_of_another_instrument_is_refused(simulation):
     some = simulation.instrument
     fewer = replace(

@@ -341,6 +341,13 @@ def test_widths_and_durations_that_are_none_are_refused(two_stations, name, valu
         replace(two_stations, **{name: np.array(values)})
 
 
+def test_widths_of_a_thousand_mhz_at_channels_of_one_were_taken(two_stations):
+    channels = two_stations.frequency_mhz.size
+    replace(two_stations, width_mhz=np.full(channels, 4.0))
+    with pytest.raises(BadInputError, match=r"width_mhz: expected at most 10 spacings of channels, 10 MHz, found 1000"):
+        replace(two_stations, width_mhz=np.full(channels, 1e3))
+
+
 @pytest.mark.parametrize(
     ("kind", "values"),
     [
