@@ -49,6 +49,8 @@ INVESTIGATED_SIGMA_US = 3 * DAY_US
 FITTED_ONE_BY_ONE = 3
 """More antennas than this are fitted with their whole station to say what a decision changes."""
 GAIN_STEP, GAIN_DRIFT = "gain_step", "gain_drift"
+RIVAL_ODDS = 0.01
+"""A step whose odds beside a ramp are better may be what that is."""
 WORDS = {IN_FORCE: "in force", DISMISSED: "dismissed"}
 
 
@@ -67,8 +69,14 @@ def mark_refitted(stores: Stores, changes: Sequence[KeptChange], dipoles: Collec
     return [replace(one, is_refitted=one.number not in waiting) for one in changes]
 
 
-def propose(made: Investigation, instrument: Instrument) -> Iterator[tuple[Change, Evidence]]:
-    """Propose the finding of an investigation along the date as a change; other findings are causes of the model."""
+def propose(
+    made: Investigation, instrument: Instrument, on_record: Sequence[KeptChange] = ()
+) -> Iterator[tuple[Change, Evidence]]:
+    """Propose the finding of an investigation along the date as a change; other findings are causes of the model.
+
+    A ramp that may as well be a step, as between two campaigns, is the step in force of its antennas in the window.
+    """
+    steps = [one.change for one in on_record if one.steps and made.since < one.change.date < made.until]
     every = {(path.antenna, path.dipole) for path in select_paths(instrument, made.station, None, None)}
     for number, finding in enumerate(made.report["findings"]):
         is_ramp, dated = finding["cause"] == GAIN_DRIFT, finding["parameters"].get("date_unix")
@@ -84,6 +92,9 @@ def propose(made: Investigation, instrument: Instrument) -> Iterator[tuple[Chang
         if is_ramp or finding["cause"] == GAIN_STEP:
             of_c = (1.0 + size["value"]) ** -0.5  # C^2 is proportional to 1 / gain
             change = replace(change, size=of_c - 1.0, size_sigma=of_c * size["sigma"] / (1.0 + size["value"]) / 2.0)
+        rivals = finding.get("evidence", {}).get("rivals", ())
+        if is_ramp and any(one["cause"] == GAIN_STEP and one["odds"] > RIVAL_ODDS for one in rivals):
+            change = next((one for one in steps if set(one.antennas) == set(change.antennas)), change)
         yield change, Evidence(INVESTIGATION, f"{made.id}#{number}", finding["significance_sigma"], made.made)
 
 

@@ -93,7 +93,7 @@ class Investigations:
             made = Investigation(name, station, since, until, inputs, report, self.clock(), part.by, part.reason)
         with self.database.write() as stores:
             stores.investigations.add(made)
-            for change, evidence in propose(made, self.fits.simulation.instrument):
+            for change, evidence in propose(made, self.fits.simulation.instrument, stores.changes.kept(station)):
                 stores.changes.note(change, evidence)
             stores.jobs.complete(part, worker, {"calibrations": [], "results": [name]}, self.clock())
 

@@ -7,10 +7,11 @@ from typing import Any
 
 import pytest
 
+from lbacal.instants import DAY_US
 from lbacal_core.curves.validity import Promotion, Scope
 from lbacal_core.instrument.instrument import Instrument
 from service.factory import Factory
-from service.storage.changes import INVESTIGATION, Evidence
+from service.storage.changes import INVESTIGATION, Change, Evidence, KeptChange
 from service.storage.models import Investigation
 from service.usecases.changes import propose
 from service.wire.bodies import ChangeBody, DecisionBody
@@ -44,6 +45,18 @@ def test_what_follows_the_date_is_proposed_with_its_change_of_c(instrument: Inst
         assert (one.size, one.size_sigma) == (pytest.approx(1 / 9), pytest.approx(0.01 * 10 / 9))
     expected = [Evidence(INVESTIGATION, f"{'a' * 64}#{number}", 9.0, 7) for number in (1, 2, 3)]
     assert [of_step, of_ramp, of_noise] == expected
+
+
+@pytest.mark.parametrize(("date", "odds", "kind"), [(DATE, 0.02, "step"), (DATE, 0.002, "ramp"), (0, 0.02, "ramp")])
+def test_a_step_between_two_campaigns_was_proposed_as_a_ramp_beside_the_step_in_force(
+    instrument: Instrument, date: int, odds: float, kind: str
+) -> None:
+    ramp = finding("gain_drift", [1], ["X", "Y"]) | {"evidence": {"rivals": [{"cause": "gain_step", "odds": odds}]}}
+    window = instant("2014-01-01"), instant("2015-01-01")
+    made = Investigation("a" * 64, "CS001", *window, {}, {"findings": [ramp]}, 7, "x", "x")
+    step = Change("CS001", ((1, "X"), (1, "Y")), "step", date, 50 * DAY_US, -0.07, 0.003)
+    ((change, evidence),) = propose(made, instrument, [KeptChange(1, step, 1, (Evidence("drift", "", 9.0, 1),))])
+    assert (change.kind, change == step, evidence.source) == (kind, kind == "step", INVESTIGATION)
 
 
 @pytest.mark.parametrize(("kind", "most"), [("ramp", 0.05), ("season", 0.1)])
