@@ -297,7 +297,7 @@ def tell_news(report: Mapping[str, Any], frequency_mhz: Floats, *, cuts_windows:
         since = round(change["date_unix"] * SECOND_US)
         error = round(change["date_sigma_days"] * DAY_US)
         sentence = (
-            f"{who}: C changed by {', by '.join(amounts)} "
+            f"{who}: C changed by {', by '.join(amounts)}, if its noise stayed, "
             f"on {format_instant(since)[:10]} ± {change['date_sigma_days']:.1f} days"
         )
         is_cut = cuts_windows and error <= LARGEST_DATE_ERROR_US
