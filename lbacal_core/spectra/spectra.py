@@ -364,8 +364,9 @@ def holds_power(power: Floats) -> NDArray[np.bool_]:
     power
         Shape (row, freq); NaN or 0 where a channel was not recorded.
     """
-    most = np.fmax.reduce(np.abs(power), axis=0, initial=0.0)
-    return np.asarray(most > NO_POWER * np.median(most))
+    most = np.fmax.reduce(power, axis=0, initial=0.0)
+    least = np.fmin.reduce(power, axis=0, initial=0.0)  # what is negative is refused where spectra are made
+    return np.asarray(np.maximum(most, -least) > NO_POWER * np.median(most - least))
 
 
 def keep_channels(content: Mapping[str, Any], kept: NDArray[np.bool_]) -> dict[str, Any]:
