@@ -201,7 +201,7 @@ class StationSearch:
 
         Two steps of an antenna are one spell of a course as well.
         """
-        cause, target, chance = named.score.cause, named.score.target, chance_of(named.score)
+        cause, target = named.score.cause, named.score.target
         if said.gain < named.gain or said.score.target.label != target.label:
             return named.gain
         scores = scan(named.model.linear, [cause], [target], self.seed)
@@ -209,7 +209,7 @@ class StationSearch:
         second = _fit(named.model, others[0], self.policy) if others else None
         if second is None or not _is_possible(second.model):
             return named.gain
-        return named.gain + max(gain_in_chi_squared(named.model, second.model) - chance, 0.0)
+        return named.gain + max(gain_in_chi_squared(named.model, second.model) - chance_of(named.score), 0.0)
 
     def _is_alike(self, before: FittedModel, said: Candidate, named: Candidate) -> bool:
         """Whether a sentence says of a target what a cause does, and fits no better: the name then tells more."""
