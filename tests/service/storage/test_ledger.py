@@ -3,11 +3,13 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from sqlalchemy import Engine, event
 
 from lbacal.instants import read_clock
 from lbacal_core.curves.covariance import Budget, BudgetTerm, parse_budget
@@ -303,3 +305,25 @@ def test_a_budget_is_stored_once_and_returns_as_it_was(factory: Factory) -> None
 def test_an_unknown_budget_is_refused(factory: Factory) -> None:
     with factory.database.read() as stores, pytest.raises(NotFoundError, match="no budget"):
         stores.budgets.get("0" * 64)
+
+
+@pytest.mark.parametrize("scopes", [None, [Scope("CS001", 0, "X")], SCOPES])
+def test_what_waits_is_found_without_a_look_at_every_version(factory: Factory, scopes: list[Scope] | None) -> None:
+    """Ten years of versions, none kept back, made each answer for a station, and the status, eight times as slow."""
+    with factory.database.write() as stores:
+        stores.versions.add([new_version(scope, f"{number}") for number in range(300) for scope in SCOPES])
+    with factory.database.engine.begin() as connection:
+        connection.exec_driver_sql("ANALYZE")
+    asked: list[tuple[str, Any]] = []
+
+    def keep(_connection: object, _cursor: object, statement: str, bound: Any, *_: object) -> None:
+        asked.append((statement, bound))
+
+    event.listen(Engine, "before_cursor_execute", keep)
+    assert factory.database.ask(lambda stores: stores.versions.waiting(scopes, 1_400_000_000_000_000)) == []
+    event.remove(Engine, "before_cursor_execute", keep)
+    statement, bound = next(one for one in asked if "gate IS NOT NULL" in one[0])
+    with factory.database.engine.connect() as connection:
+        explain = "EXPLAIN QUERY PLAN" if factory.settings.is_sqlite else "EXPLAIN"
+        plan = [str(row) for row in connection.exec_driver_sql(f"{explain} {statement}", bound)]
+    assert any("ix_calibration_gated" in line for line in plan), plan
