@@ -10,7 +10,7 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from sqlalchemy import ColumnElement, Connection, Row, and_, case, or_, select
+from sqlalchemy import ColumnElement, Connection, Row, and_, case, func, or_, select, tuple_
 
 from lbacal.instants import SECOND_US
 from lbacal_core.calibration.paths import is_undetermined
@@ -396,8 +396,10 @@ class VersionStore(Store):
 
     def newest(self, scope: Scope, also: Iterable[str]) -> list[Version]:
         """Versions of a scope that no newer one of their window replaced, and others by id, by window."""
-        is_shown = or_(~_has_newer(), calibration.c.id.in_(sorted(set(also))))
-        statement = select(calibration).where(calibration.c.scope == scope.key, is_shown)
+        window, is_own = (calibration.c.since_us, calibration.c.until_us), calibration.c.scope == scope.key
+        last = select(*window, func.max(calibration.c.made_us)).where(is_own).group_by(*window)
+        is_shown = or_(tuple_(*window, calibration.c.made_us).in_(last), calibration.c.id.in_(sorted(set(also))))
+        statement = select(calibration).where(is_own, is_shown)
         in_order = statement.order_by(calibration.c.since_us, calibration.c.made_us, calibration.c.id)
         return self._values(self._connection.execute(in_order).all())
 
