@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
@@ -30,7 +31,7 @@ them. A record is *old* where the finder says of the [frozen data sets](../valid
 The rows are main claims.
 """
 TABLE = ("| claim | asked | found (interval) | n | verdict | proof |", "|" + "---|" * 6)
-OPEN = "Undecided (their records have sentence, limit and interval): "
+OPEN = "Undecided claims (their records have sentence, limit and interval): "
 LIMITS = """\
 - The twin that makes the data is ours. It shares no code with what is tested, but its author has read both: a fault of
   nature that nobody thought of is in none.
@@ -90,12 +91,10 @@ def _tell_refuted_before(by_proof: Mapping[str, Sequence[Record]], history: Sequ
 
 
 def _tell_blocks(entries: Iterable[Entry]) -> list[str]:
-    """Every part that has blocks without a result, with their seeds; the ledger has dates and commits."""
-    blocks: dict[str, list[str]] = {}
-    for one in entries:
-        blocks.setdefault(name_of(one.proof, one.part), []).append(f"{one.first}-{one.block.end - 1}")
-    told = "; ".join(f"{name} {', '.join(seeds)}" for name, seeds in blocks.items())
-    return [f"Seeds of the ledger: {told}."] if told else []
+    """Every part that has blocks without a result, and how many; the ledger has seeds, dates and commits."""
+    blocks = Counter(name_of(one.proof, one.part) for one in entries)
+    told = "; ".join(name if count == 1 else f"{name} ({count} blocks)" for name, count in blocks.items())
+    return [f"The ledger has the seeds: {told}."] if told else []
 
 
 def _is_headline(claim: Claim, record: Record) -> bool:
@@ -129,7 +128,7 @@ def tell_change(claim: Claim, record: Record, history: Sequence[Record]) -> str:
 
 
 def _open_claims(by_proof: Mapping[str, Sequence[Record]]) -> list[str]:
-    """What is not shown: a line a part with its refuted claims, then its other undecided ones by their keys."""
+    """What is not shown: a line a part with its refuted claims, then the number of its other undecided ones."""
     refuted, undecided = [], []
     for record in (one for records in by_proof.values() for one in records):
         against = [claim for claim in record.claims if claim.verdict == REFUTED]
@@ -139,13 +138,9 @@ def _open_claims(by_proof: Mapping[str, Sequence[Record]]) -> list[str]:
         ]
         if told:
             refuted.append(f"- {record.name}: **refuted** {'; '.join(told)}.")
-        keys = [
-            f"`{claim.key}`"
-            for claim in record.claims
-            if claim.verdict == UNDECIDED and not _is_headline(claim, record)
-        ]
-        if keys:
-            undecided.append(f"{record.name} {', '.join(keys)}")
+        more = sum(claim.verdict == UNDECIDED and not _is_headline(claim, record) for claim in record.claims)
+        if more:
+            undecided.append(f"{record.name} ({more})")
     return [*refuted, "", f"{OPEN}{'; '.join(undecided)}."] if undecided else refuted
 
 
