@@ -264,10 +264,10 @@ class _Seen:
         """The vector with its covariance; the first of the series are the mistakes, the others the modes."""
         channels = path.slope.size
         look = look_beside(path.power / path.model - 1.0, path.of_sky, path.of_constant, basis)
-        moved = np.zeros((0, 2 * channels)) if series is None else move_lines(path, slope, basis, series)
+        moved = np.zeros((0, 2 * channels)) if series is None else move_lines(path, basis, series)
         beside = np.zeros((0, look.value.size))
         if series is not None:
-            signal = slope * path.of_sky
+            signal = path.slope * path.of_sky
             beside = look.respond(signal, path.of_sky, path.of_constant, basis, series, moved)
         covariance = invert_symmetric(path.information)
         tested = np.flatnonzero(~is_free)
