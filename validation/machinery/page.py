@@ -140,7 +140,7 @@ def _open_claims(by_proof: Mapping[str, Sequence[Record]]) -> list[str]:
             refuted.append(f"- {record.name}: **refuted** {'; '.join(told)}.")
         more = sum(claim.verdict == UNDECIDED and not _is_headline(claim, record) for claim in record.claims)
         if more:
-            undecided.append(f"{record.name} ({more})")
+            undecided.append(record.name if more == 1 else f"{record.name} ({more})")
     return [*refuted, "", f"{OPEN}{'; '.join(undecided)}."] if undecided else refuted
 
 
