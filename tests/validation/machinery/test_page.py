@@ -61,7 +61,7 @@ def test_what_refuted_claims_of_a_part_begin_with_alike_is_said_once() -> None:
 def test_an_undecided_detail_is_no_row_and_is_not_hidden() -> None:
     rows, _, below = page_of(record(claim("station_mean", "A detail", 0.5, (0.4, 0.6)))).partition("## What is not")
     assert "A detail" not in rows
-    assert "interval): twin-nuisances `station_mean`." in below
+    assert "interval): twin-nuisances." in below
     assert "It is found" not in page_of(record(SHOWN, part="clean")), "a part may have no row at all"
 
 
