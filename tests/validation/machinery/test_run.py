@@ -99,7 +99,7 @@ def test_a_stopped_run_goes_on_and_its_seeds_never_come_again(checkout: Path):
     with pytest.raises(KeyboardInterrupt):
         run_and_record("some", Part("parity", stop, _judge, 6, is_parallel=False), Order())
     page = write_page([], [], read_ledger())
-    assert f"some-parity {DEBUG_BELOW}-{DEBUG_BELOW + 5}." in page
+    assert "The ledger has the seeds: some-parity." in page
     again = Part("parity", lambda seed: tried.append(seed) or _try(seed), _judge, 6, is_parallel=False)
     record = run_and_record("some", again, Order())
     assert tried == [DEBUG_BELOW + k for k in (3, 4, 5)]
