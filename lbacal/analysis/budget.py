@@ -12,7 +12,7 @@ import numpy as np
 from astropy import units as u
 from astropy.table import QTable
 
-from lbacal.analysis.data import in_common, spectra_of
+from lbacal.analysis.data import spectra_of
 from lbacal.analysis.instrument import Described, simulation_of
 from lbacal.analysis.result import Result
 from lbacal.pages.chart import BAND, COLOURS, LINE, Chart, Series
@@ -101,8 +101,8 @@ def budget(
     >>> spectra = lbacal.simulate("lofar-superterp", events=100, antennas=2)
     >>> lbacal.budget(spectra, "lofar-superterp", sky="paper").save("budget.png")  # doctest: +SKIP
     """
-    measured, simulation, _ = in_common(spectra_of(spectra), simulation_of(instrument, sky_power))
-    simulation = simulation.smeared(measured)
+    measured = spectra_of(spectra)
+    simulation = simulation_of(instrument, sky_power).on_channels(measured.frequency_mhz).smeared(measured)
     tell("compare the forms of the chain")
     simulation = simulation.with_form(compare_forms(measured, simulation).name)
     tell("refit with each term")

@@ -121,13 +121,13 @@ def spectra_of(data: Spectra | str | Path) -> Spectra:
     return read_selected([Path(data)], Selection(), time.time())
 
 
-def in_common(spectra: Spectra, simulation: Simulation) -> tuple[Spectra, Simulation, str]:
-    """Spectra and simulation on the channels of both, and a sentence where the spectra lack some."""
+def in_common(spectra: Spectra, simulation: Simulation) -> tuple[Simulation, str]:
+    """The simulation on the channels of the spectra, and a sentence where they lack some of its own."""
     ours = simulation.on_channels(spectra.frequency_mhz)
     every, kept = simulation.instrument.frequency_mhz, ours.instrument.frequency_mhz
     missing = every[~np.isin(every, kept)]
     lacking = f"{missing.size} of {every.size} hold no power or are not in the spectra: {name_channels(missing)}"
-    return spectra, ours, lacking if missing.size else ""
+    return ours, lacking if missing.size else ""
 
 
 def read(

@@ -141,7 +141,8 @@ def investigate(
         raise BadInputError("instrument", "an instrument beside spectra, or the name of one", "None")
     simulation, causes = simulation_of(instrument, sky_power), read_model(with_, "with_")
     simulation = simulation if causes.is_plain else simulation.with_causes(causes)
-    measured, simulation, without = in_common(spectra_of(data), simulation)
+    measured = spectra_of(data)
+    simulation, without = in_common(measured, simulation)
     audited = audit_quickly(measured, simulation.instrument)
     audited.require_power(measured.origin)
     with Engine(dask) as engine:
