@@ -127,7 +127,7 @@ calibration = _table(
     Column("made_by", Text, nullable=False),
     Column("reason", Text, nullable=False),
     Index(None, "made_us", "id"),
-    Index("ix_calibration_gated", "id", sqlite_where=IS_GATED, postgresql_where=IS_GATED),
+    Index("ix_calibration_gated", "scope", "id", sqlite_where=IS_GATED, postgresql_where=IS_GATED),
 )
 
 examined = _table(

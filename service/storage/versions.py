@@ -429,9 +429,9 @@ class VersionStore(Store):
         names = ("id", "scope", "gate", "made_us", "since_us", "until_us", "status")
         curves = case((calibration.c.status == NOT_IDENTIFIABLE, calibration.c.curves))
         statement = select(*[*(calibration.c[name] for name in names), curves])
-        # Few are kept back, and an index holds just these: by the index of scopes or in order, all versions are read.
-        inside += [] if scopes is None else [calibration.c.scope.concat("").in_({scope.key for scope in scopes})]
+        inside += [] if scopes is None else [calibration.c.scope.in_({scope.key for scope in scopes})]
         rows = self._connection.execute(statement.where(IS_GATED, *inside, ~promoted, ~_has_newer(), ~is_over))
+        # Few are kept back, and an index holds just these: a database that is asked for an order reads all versions.
         own = sorted((row.made_us, row.id, row) for row in rows)
         return [Waiting(name, parse_scope(row.scope), *row[2:]) for _, name, row in own]
 
