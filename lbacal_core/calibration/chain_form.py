@@ -172,7 +172,7 @@ def free_sky(path: PathLines, lst_hours: Floats, prior: SkyPrior | None, dipole:
         return np.zeros(len(covariance)), covariance
     series, basis = prior.series(dipole), harmonics_at(lst_hours, SKY_HARMONICS)
     look = look_beside(path.power / path.model - 1.0, path.of_sky, path.of_constant, basis)
-    moved = move_lines(path, basis, series)
+    moved = move_lines(path, path.slope, basis, series)
     beside = look.respond(path.slope * path.of_sky, path.of_sky, path.of_constant, basis, series, moved)
     # look = beside^T a + N(0, 1), a ~ N(0, 1)
     left = invert_symmetric(np.eye(len(series)) + beside @ beside.T)

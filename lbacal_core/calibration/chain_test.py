@@ -229,6 +229,8 @@ class _Seen:
 
     Attributes
     ----------
+    to_residual
+        How the intercepts beside the chain's follow from slopes and intercepts, shape (channel, 2 freq).
     value
         r, in standard deviations, shape (number,).
     of_modes, of_mistakes
@@ -242,7 +244,6 @@ class _Seen:
     path: PathLines
     look: Look
     to_residual: Floats
-    scale: Floats
     value: Floats
     of_modes: Floats
     of_mistakes: Floats
@@ -261,28 +262,41 @@ class _Seen:
         series: Floats | None,
         mistakes: int = 0,
     ) -> _Seen:
-        """The vector with its covariance; the first of the series are the mistakes, the others the modes."""
+        """The vector with its covariance; the first of the series are the mistakes, the others the modes.
+
+        The noise of measured slopes is in r as well: at these, a change of the sky has a part of r by construction.
+        What r says of that noise, skies of the modes allowed, is taken off first: what is left of it is not in r.
+        """
         channels = path.slope.size
         look = look_beside(path.power / path.model - 1.0, path.of_sky, path.of_constant, basis)
-        moved = np.zeros((0, 2 * channels)) if series is None else move_lines(path, basis, series)
-        beside = np.zeros((0, look.value.size))
-        if series is not None:
-            signal = path.slope * path.of_sky
-            beside = look.respond(signal, path.of_sky, path.of_constant, basis, series, moved)
         covariance = invert_symmetric(path.information)
         tested = np.flatnonzero(~is_free)
         to_residual = np.concatenate([-np.diag(before), np.eye(channels)], axis=1)[tested]
-        noise = to_residual @ covariance @ to_residual.T
-        scale = np.sqrt(np.diag(noise))
-        value = np.concatenate([(path.intercept - before * path.slope)[tested] / scale, look.value])
-        response = np.concatenate([moved @ to_residual.T / scale, beside], axis=1)
-        free = response[mistakes:]
-        total = np.eye(value.size) + free.T @ free
-        total[: tested.size, : tested.size] += noise / np.outer(scale, scale) - np.eye(tested.size)
+        scale = np.sqrt(np.diag(to_residual @ covariance @ to_residual.T))
+        to_residual /= scale[:, None]
+        value = np.concatenate([to_residual @ np.concatenate([path.slope, path.intercept]), look.value])
         columns = np.zeros((value.size, len(terms.names)))
         forms = np.concatenate([terms.front * slope, terms.behind])
         columns[: tested.size] = forms.T[tested] / scale[:, None]
-        return cls(path, look, to_residual, scale, value, free, response[:mistakes], columns, find_whitener(total))
+        noise = np.eye(value.size)
+        noise[: tested.size, : tested.size] = to_residual @ covariance @ to_residual.T
+
+        def see_at(sky_slope: Floats) -> _Seen:
+            response = np.zeros((0, value.size))
+            if series is not None:
+                moved = move_lines(path, sky_slope, basis, series)
+                signal = sky_slope * path.of_sky
+                beside = look.respond(signal, path.of_sky, path.of_constant, basis, series, moved)
+                response = np.concatenate([moved @ to_residual.T, beside], axis=1)
+            modes = response[mistakes:]
+            whitener = find_whitener(noise + modes.T @ modes)
+            return cls(path, look, to_residual, value, modes, response[:mistakes], columns, whitener)
+
+        seen = see_at(path.slope)
+        if series is None:
+            return seen
+        of_noise = (seen.whitener.T @ seen.whiten(value)[:, 0])[: tested.size]
+        return see_at(path.slope - covariance[:channels] @ to_residual.T @ of_noise)
 
     def whiten(self, vectors: Floats) -> Floats:
         """Vectors, shape (number, ...), in units of their scatter, the noise constants profiled out."""
@@ -307,5 +321,5 @@ class _Seen:
         moved = move_lines_by(path, change)
         of_lines = path.of_sky * moved[:, None, :channels] + path.of_constant * moved[:, None, channels:]
         beside = np.einsum("ej,kef,fd->kjd", self.look.directions, change - of_lines, self.look.features, optimize=True)
-        of_intercepts = self.value[: self.scale.size] + moved @ self.to_residual.T / self.scale
+        of_intercepts = self.value[: len(self.to_residual)] + moved @ self.to_residual.T
         return np.concatenate([of_intercepts, beside.reshape(len(change), -1)], axis=1)

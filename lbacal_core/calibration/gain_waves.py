@@ -131,7 +131,7 @@ def _profile_sky(path: PathLines, lst_hours: Floats, series: Floats) -> GainWave
     basis, waves = harmonics_at(lst_hours, SKY_HARMONICS), waves_of_gain(lst_hours)
     signal, gains = path.slope * path.of_sky, len(waves)
     flat = np.broadcast_to(waves[:, :, None], (gains, *signal.shape))
-    moved = np.concatenate([move_lines_by(path, flat), move_lines(path, basis, series)])
+    moved = np.concatenate([move_lines_by(path, flat), move_lines(path, path.slope, basis, series)])
     # what an event shares along frequency sees of each change, shape (change, event x vector)
     shared = np.zeros((gains + len(series), path.power.shape[0], path.shared.shape[1]))
     shared[:gains] = waves[:, :, None] * path.shared.sum(axis=2)

@@ -620,10 +620,13 @@ def look_beside(residual: Floats, of_sky: Floats, of_constant: Floats, basis: Fl
     return Look((directions.T @ (residual @ features)).ravel(), directions, features)
 
 
-def move_lines(path: PathLines, basis: Floats, series: Floats) -> Floats:
-    """How slopes and intercepts answer to each change of the sky, as the fit weighs events; shape (mode, 2 freq)."""
+def move_lines(path: PathLines, slope: Floats, basis: Floats, series: Floats) -> Floats:
+    """How slopes and intercepts answer to each change of a sky with these slopes, as the fit weighs events.
+
+    Shape (freq,) and (mode, 2 freq).
+    """
     of_sky, of_constant = path.of_sky, path.of_constant
-    signal = path.slope * of_sky
+    signal = slope * of_sky
     # most modes are one harmonic or a few: the others are rounding
     mode_of, harmonic_of = np.nonzero(np.abs(series).max(axis=2) > ROUNDING * np.abs(series).max(initial=0.0))
     flat, waves = series[mode_of, harmonic_of].T, basis[:, harmonic_of]

@@ -144,7 +144,7 @@ def test_the_freedom_of_the_sky_moves_the_lines_as_a_fit_with_shared_noise_does(
     series = SkyPrior({"X": change[None]}, "").series("X")
     basis = harmonics_at(lst, SKY_HARMONICS)
     path = PathLines.of(power[0], sky, variance[0], lines.select(np.array([0])))
-    moved = move_lines(path, basis, series)[0]
+    moved = move_lines(path, path.slope, basis, series)[0]
     added = lines.slope[:, None] * sky * (basis @ series[0])
     up, down = (fit_lines(power + sign * added, sky, variance, forms) for sign in (1.0, -1.0))
     refitted = np.concatenate([up.slope - down.slope, up.intercept - down.intercept], axis=1)[0] / 2.0

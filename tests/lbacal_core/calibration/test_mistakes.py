@@ -4,12 +4,18 @@ import numpy as np
 import pytest
 
 from lbacal_core.antenna.ideal import ShortDipole
+from lbacal_core.calibration import fit
 from lbacal_core.calibration.chain_test import LARGEST_GAIN, UNDESCRIBED, Tried, describe_mistakes, name_mistakes
 from lbacal_core.curves.curves import CalibrationCurve
+from lbacal_core.instrument.antennas import GainProvenance
 from lbacal_core.instrument.instrument import load_instrument
+from lbacal_core.instrument.stages import Stage
 from lbacal_core.simulation.prior import Mistake, list_mistakes, list_other_antennas, sky_prior
+from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.differences import LST_HOURS
 from lbacal_core.sky.power import compute_sky_power
+from lbacal_twin.campaign import simulate_campaign
+from lbacal_twin.settings import TwinSettings
 
 LOFAR = load_instrument("lofar-superterp")
 HALF_HOURS = np.arange(48) / 2.0
@@ -48,6 +54,37 @@ def test_an_instrument_with_one_arm_has_no_letters_to_exchange():
     assert not any("exchanged" in name for name in names)
     assert "the antenna is like hamaker" in names
     assert "the antenna is like short-dipole" not in names
+
+
+def test_a_receiver_of_little_noise_does_not_show_another_antenna_by_the_gains_of_its_events(monkeypatch):
+    """What P_sky does to lines was taken at measured slopes, whose noise is that of the lines: gains of 5 to 10."""
+    one = np.ones(LOFAR.frequency_mhz.size)
+    stages = (
+        Stage("lna", "lna", gain=10.0 * one, noise_k=150.0 * one, error_k=15.0),
+        Stage("coax", "cable"),
+        Stage("filter", "filter", gain=LOFAR.receiver_gain),
+        Stage("amplifier", "amplifier", gain=one, is_free=True),
+        Stage("adc", "adc", is_free=True),
+    )
+    absolute = replace(
+        LOFAR, stages=stages, kelvin_error=0.01, gain_provenance=GainProvenance("absolute", "a test"),
+        antennas=[record for record in LOFAR.antennas if record.station == "CS002"],
+    )  # fmt: skip
+    simulation, tried = Simulation(absolute), []
+
+    def keep(found, mistakes):
+        at = [mistake.name for mistake in mistakes].index("the antenna is like quarter-wave")
+        tried.extend(gain[at] for _, (gain, _) in found)
+        return name_mistakes(found, mistakes)
+
+    monkeypatch.setattr(fit, "name_mistakes", keep)
+    settings = TwinSettings(events_per_year=300, antennas=4, stations=("CS002",))
+    campaign = simulate_campaign(settings, absolute, simulation.sky_power, np.random.default_rng(1))
+    report = fit.fit_calibration(campaign.spectra, simulation)
+    assert len(tried) == 8
+    assert np.mean(tried) < 0.0
+    assert np.max(tried) < 2.0
+    assert {curve.status for curve in report.curves} == {"converged"}
 
 
 def curve(antenna, dipole):
