@@ -12,7 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from lbacal_core.calibration.singles import FEWEST_EVENTS, MIN_EVENTS, SingleFits, fit_singles, relative_variance_of
+from lbacal_core.calibration.singles import (
+    FEWEST_EVENTS,
+    MIN_EVENTS,
+    SingleFits,
+    fit_singles,
+    hears_the_sky,
+    relative_variance_of,
+)
 from lbacal_core.calibration.spreads import SinglePaths, join_paths
 from lbacal_core.curves.curves import NOT_IDENTIFIABLE, Anomaly, CalibrationCurve
 from lbacal_core.curves.kept_lines import MemberLines, Owner, join_away, join_members
@@ -209,9 +216,10 @@ class _Reader:
         1 + var(P_p) / mean(P_p)^2, 1.15 for the cables of the Superterp. The chain of the array stands where the
         instrument does, wherever its stations stand: each deviates from its lines against the sky that it sees itself.
 
-        A path with too many anomalous spectra takes part in no event; where other windows have its lines it is a member
-        all the same. Where most have too many, they are what the station records, and are averaged. A small window has
-        those with half of the most events, in the events of one that has the most: too few for a fit by itself.
+        A path that hardly hears the sky, as in a search, or has too many anomalous spectra, takes part in no event;
+        where other windows have its lines it is a member all the same. Where most have too many, they are what the
+        station records, and are averaged. A small window has those with half of the most events, in the events of one
+        that has the most: too few for a fit by itself.
         """
         fitted = fit_singles(block, self.simulation, self.typical_blocks)
         screened = leave_out(block, fitted.is_left_out)
@@ -219,11 +227,15 @@ class _Reader:
         is_member = events >= (max(FEWEST_EVENTS, events.max() / 2) if is_small else MIN_EVENTS)
         if np.mean(fitted.is_steady) > SHARE_OF_STEADY_PATHS:
             is_member &= fitted.is_steady
+        sky = self.simulation.sky_at(block.station, block.dipole, block.time_unix)
+        if not is_small and np.any(is_member):
+            of_sky = fitted.lines.slope[is_member] * sky.mean(axis=0)
+            share = np.median(of_sky / (of_sky + fitted.lines.intercept[is_member]), axis=1)
+            is_member[is_member] = hears_the_sky(share)
+        lines, antennas = fitted.lines.select(np.flatnonzero(is_member)), block.antennas[is_member]
         power, variance = screened.power[is_member], relative_variance_of(screened, self.typical_blocks)[is_member]
         if is_small:
             variance[:, ~screened.is_present[np.argmax(np.where(is_member, events, 0))]] = np.inf
-        sky = self.simulation.sky_at(block.station, block.dipole, block.time_unix)
-        lines, antennas = fitted.lines.select(np.flatnonzero(is_member)), block.antennas[is_member]
         level = (lines.slope * sky.mean(axis=0) + lines.intercept).mean(axis=1)
         stations = np.full(antennas.size, block.station)
         members = MemberLines(stations, antennas, lines.slope, lines.intercept, level, lines.levels.of_band)

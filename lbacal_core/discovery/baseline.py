@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from lbacal_core.calibration.lines import ChainForms, fit_lines
 from lbacal_core.calibration.separable import SeparableSolution, solve_separable
+from lbacal_core.calibration.singles import hears_the_sky
 from lbacal_core.discovery.station import Station
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.chain import ChainTerms
@@ -109,15 +110,10 @@ def _typical_constants(solution: SeparableSolution, is_good: NDArray[np.bool_]) 
 # cancel in their deviation from the mean, where the differences between sky models are not profiled out, and takes the
 # form of a cause.
 
-SMALLEST_SHARE = 0.3
-"""Share of the sky in the power of a path, over the median of all paths. The longest cables have 0.6 to 0.7 of it, deaf
-ones in drawn worlds 0.04 to 0.23, and a path whose gain falls by 0.4 of its excess power seems to have 0.34 to 0.5."""
-
 
 def leave_out_deaf(station: Station) -> tuple[Station, list[str]]:
     """The station without the paths that hardly hear the sky, and their names; a class keeps one path at least."""
-    share = sky_shares(station)
-    is_kept = share >= SMALLEST_SHARE * np.median(share)
+    is_kept = hears_the_sky(sky_shares(station))
     for c in range(len(station.conditions.dipoles)):
         own = station.class_of == c
         if not np.any(is_kept[own]):
