@@ -12,6 +12,7 @@ from scipy.special import ndtri
 
 from lbacal_core.audit.station import MEDIAN, SKY_HOURS, AuditedStation, as_power, spread
 from lbacal_core.audit.verdict import UNDECIDED, WRONG, Line
+from lbacal_core.calibration.singles import SMALLEST_SHARE
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.sky.table import harmonics_at
@@ -28,8 +29,6 @@ DEAD_LEVEL = -np.log(10.0)
 """A path with less than a tenth of the others' power sends nothing of the sky."""
 DEAF_SHARE, DEAF_LEVEL = 0.6, -0.25
 """An insensitive path follows less than this of the others' spectrum or of their change with time, and lies lower."""
-HEARS_NOTHING = 0.3
-"""A path at any level that follows less than this of the change of any polarisation hears no sky: as in a search."""
 PEAK, PEAK_SHARE = np.log(2.0), 1 / 3
 """An oscillating path exceeds its own level by a factor 2 in fewer than a third of its channels, and there by more than
 the antennas of its station differ; or it is loud."""
@@ -171,7 +170,7 @@ def _name(
     kinds = {
         "dead": level < DEAD_LEVEL,
         "deaf": (level < DEAF_LEVEL and is_far and receives < DEAF_SHARE)
-        or (level < LOUD and float(comparison.most[a, d]) < HEARS_NOTHING),
+        or (level < LOUD and float(comparison.most[a, d]) < SMALLEST_SHARE),
         "clipped": level > LOUD and follows < CLIPPED_SHARE,
         "oscillating": level > LOUD or is_peaked,
         "outlying": (abs(level) > OUTLYING and is_far) or is_odd,
