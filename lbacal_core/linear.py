@@ -138,10 +138,11 @@ def find_whitener(covariance: Floats) -> Floats:
     return np.swapaxes(unit[..., None] * _root_of_inverse(scaled, SHARE), -1, -2)
 
 
-def minus_log_likelihood(covariance: Floats, values: Floats) -> float:
-    """-2 ln of the likelihood of normal values, shape (series, k), but for a constant (Rasmussen & Williams, 2.30).
+def minus_log_likelihood(covariance: Floats, values: Floats) -> Floats:
+    """-2 ln of the likelihood of normal values but for a constant (Rasmussen & Williams, 2.30), shape (series,).
 
-    Covariances, shape (series, k, k), must have no direction without variance: what is not there has no likelihood.
+    Values have the shape (series, k). Covariances, shape (series, k, k), must have no direction without variance: what
+    is not there has no likelihood.
     """
     series, size = values.shape
     bordered = np.empty((series, size + 1, size + 1))
@@ -150,7 +151,7 @@ def minus_log_likelihood(covariance: Floats, values: Floats) -> float:
     bordered[:, size, size] = np.finfo(float).max  # whatever chi^2 is, the last pivot is real
     factor = np.linalg.cholesky(bordered)
     pivots = np.diagonal(factor[:, :size, :size], axis1=-2, axis2=-1)
-    return float(np.sum(factor[:, size, :size] ** 2) + 2.0 * np.sum(np.log(pivots)))
+    return np.asarray(np.sum(factor[:, size, :size] ** 2, axis=1) + 2.0 * np.sum(np.log(pivots), axis=1))
 
 
 def pseudo_invert(design: Floats, share: float = SHARE) -> Floats:

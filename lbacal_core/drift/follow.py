@@ -233,7 +233,7 @@ def follow(history: History) -> Followed:
     median = paths.median
     of_dipole = np.unique([dipole for _, dipole in groups], return_inverse=True)[1]
     stations = None
-    if np.all(np.bincount(of_dipole) >= FEWEST_COMPANIONS):
+    if np.any(np.bincount(of_dipole) >= FEWEST_COMPANIONS):
         stations = search_series(Series(median, of_dipole, history.time_unix))
         median = stations.median
     return Followed(groups, paths, stations, measure_whole(history.time_unix, _average(median)))

@@ -351,7 +351,7 @@ def estimate_lasting(
     of_month = 1.0 / np.median(events[some][events[some] > 0])
     grid = [Lasting(0.0, 1.0)]
     grid += [Lasting(level * of_month, length) for level in LEVELS[1:] for length in LENGTHS_MONTHS]
-    return min(grid, key=lambda one: minus_log_likelihood(fixed + one.covariance(months), y[some]))
+    return min(grid, key=lambda one: minus_log_likelihood(fixed + one.covariance(months), y[some]).sum())
 
 
 def fixed_covariance(
@@ -476,6 +476,8 @@ class SeriesModel:
         The fit of all series.
     cut
         The chi-square that something found exceeds.
+    is_white
+        Whether the noise is taken for white.
     """
 
     def __init__(self, series: Series, known_unix: Floats | None, false_alarms: float) -> None:
@@ -501,8 +503,13 @@ class SeriesModel:
         self.is_new = np.ones(len(self.median), dtype=bool)
         self.cut = find_threshold(false_alarms, count * len(self.months), modes)
         self.lasting: tuple[Lasting, ...] = ()
-        self.rounds = 0
+        self.rounds, self.is_white = 0, False
         self.all = np.arange(count)
+
+    @property
+    def is_free(self) -> NDArray[np.bool_]:
+        """Where series have steps that nobody knew beforehand, shape (series, step)."""
+        return np.isfinite(self.terms.dates) & ~self.terms.is_known
 
     def fit(self) -> None:
         """Remove medians, average months, estimate the noise, and fit."""
@@ -521,7 +528,7 @@ class SeriesModel:
             mean = np.add.reduceat(np.where(known, rest, 0.0), self.starts, axis=1, dtype=float)
             mean /= np.maximum(self.events[some], 1.0)[..., None]
             self.y[:, some] = np.moveaxis(mean, -1, 0) / self.scale[:, some, None]
-        if self.rounds < NOISE_ROUNDS:
+        if self.is_white or self.rounds < NOISE_ROUNDS:
             self._estimate_noise()
         self.rounds += 1
         self.fit_terms(self.all)
@@ -532,12 +539,16 @@ class SeriesModel:
         With the best step of each series left out of them, a few series that wander have little noise that lasts, and
         many steps; with none left out, a step in one of few is noise of all. Each step costs the threshold.
         """
-        self._weigh([Lasting(0.0, 1.0)] * len(self.y))
+        white = (Lasting(0.0, 1.0),) * len(self.y)
+        self._weigh(white)
         self.fit_terms(self.all)
         left = np.empty_like(self.y)
         for some in share_out(self.all):
             left[:, some] = self.y[:, some] - (self.columns(some) @ self.result.theta[:, some, :, None])[..., 0]
         self.whitener = find_whitener(correlate_modes(left, self.events))
+        if self.is_white:
+            self.lasting = white
+            return
         of_white, _ = self._find_steps()
         still = self._try_noise(left, np.zeros_like(of_white))
         options = [still, *(self._try_noise(left, steps) for steps in (still.steps, of_white) if np.any(steps))]
@@ -558,7 +569,7 @@ class SeriesModel:
             for y, scale, one in zip(left, self.scale, lasting, strict=True):
                 events, none = self.events[some], np.zeros((some.size, len(self.months)))
                 fixed = fixed_covariance(events, self.smooth_months, scale[some], self.months, none)
-                cost += minus_log_likelihood(fixed + one.covariance(self.months), y[some])
+                cost += minus_log_likelihood(fixed + one.covariance(self.months), y[some]).sum()
         return _Noise(lasting, own_steps, cost - gain)
 
     def _find_steps(self) -> tuple[Floats, float]:
@@ -690,7 +701,7 @@ class SeriesModel:
     def widen_dates(self) -> None:
         """Add to the errors of dates that a step in another month, with a size of its own, explains about as much."""
         begins, chi2 = self.series.time_unix[self.starts], self.own_chi2()[0]
-        is_free = np.isfinite(self.terms.dates) & ~self.terms.is_known
+        is_free = self.is_free
         for j in np.flatnonzero(np.any(is_free, axis=0)):
             rows, before, errors = np.flatnonzero(is_free[:, j]), self.terms, self.errors.copy()
             self.remove(is_free & (np.arange(is_free.shape[1]) == j), np.zeros_like(before.has_slope))
@@ -701,6 +712,23 @@ class SeriesModel:
             self.errors[:, rows, j] = widen(
                 before.dates[rows, j], errors[:, rows, j], begins, steps - chi2[rows, j, None]
             )
+
+    def total_cost(self) -> float:
+        """-2 ln of the likelihood of all events, and the threshold for every term.
+
+        Single events scatter in a month by their own noise, whatever lasts. A step of one is seen in those that are
+        compared with it as well, which are no evidence of their own.
+        """
+        cost = np.zeros(self.all.size)
+        for some in share_out(self.all):
+            left = self.y[:, some] - (self.columns(some) @ self.result.theta[:, some, :, None])[..., 0]
+            events, none = self.events[some], np.zeros((some.size, len(self.months)))
+            for y, scale, one in zip(left, self.scale[:, some], self.lasting, strict=True):
+                fixed = fixed_covariance(events, self.smooth_months, scale, self.months, none)
+                cost[some] += minus_log_likelihood(fixed + one.covariance(self.months), y)
+                cost[some] += 2.0 * events.sum(axis=1) * np.log(scale) - np.sum(events * y**2, axis=1)
+        seen = 1.0 + LEAKAGE**2 / np.maximum(np.bincount(self.series.group)[self.series.group] - 1, 1)
+        return float(np.sum(cost / seen) + self.cut * (self.is_free.sum() + self.terms.has_slope.sum()))
 
     def _set_dates(self, rows: NDArray[np.int64], step: NDArray[np.int64], dates: Floats) -> None:
         new = self.terms.dates.copy()

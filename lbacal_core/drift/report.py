@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from lbacal_core.calibration.slow_changes import YEAR_S
 from lbacal_core.calibration.years import gain_modes
 from lbacal_core.drift.events import MODES
 from lbacal_core.drift.follow import Followed, History, Whole, measure_whole
@@ -138,6 +139,8 @@ def _error_of(one: Change, other: Change) -> float:
 
 
 DIGITS = 7
+AGAIN_YEARS = 1.5
+"""A season that was not seen again in half a year may as well be a step."""
 SILENT_EVENTS = 20
 """So many events of others, eight days of a LOFAR year, without one of a path: it is lost, or sees no sky."""
 
@@ -149,9 +152,12 @@ def describe_followed(history: History, followed: Followed, frequency_mhz: Float
     `silent`.
     """
     owners = list(zip(history.station.tolist(), history.antenna.tolist(), history.dipole.tolist(), strict=True))
-    slopes = _slopes(followed.paths, owners)
+    came_again = bool(np.ptp(history.time_unix) > AGAIN_YEARS * YEAR_S)
+    slopes = _slopes(followed.paths, owners, came_again)
     if followed.stations is not None:
-        slopes += _slopes(followed.stations, [(station, None, dipole) for station, dipole in followed.groups])
+        slopes += _slopes(
+            followed.stations, [(station, None, dipole) for station, dipole in followed.groups], came_again
+        )
     trends = {} if followed.whole is None else {"array": _trend(followed.whole, frequency_mhz)}
     for station in sorted({station for station, _ in followed.groups}):
         rows = [k for k, (name, _) in enumerate(followed.groups) if name == station]
@@ -216,7 +222,7 @@ def _of_modes(value: Any, sigma: Any) -> dict[str, dict[str, float]]:
     }
 
 
-def _slopes(found: Found, owners: list[tuple[str, int | None, str]]) -> list[dict[str, Any]]:
+def _slopes(found: Found, owners: list[tuple[str, int | None, str]], came_again: bool) -> list[dict[str, Any]]:
     """The slope of every series beside its companions, a year, and its season: C is largest at that part of a year."""
     phase = np.arctan2(found.season[:, 1, 0], found.season[:, 0, 0])
     toward = np.stack([np.cos(phase), np.sin(phase)], axis=1)[:, :, None]
@@ -236,7 +242,7 @@ def _slopes(found: Found, owners: list[tuple[str, int | None, str]]) -> list[dic
             "season_shape": _of_modes(season[k, 1:], sigma[k, 1:]),
             "season_phase": round(float(phase[k] / (2 * np.pi) % 1.0), DIGITS),
             "season_significance": round(float(found.season_significance[k]), 2),
-            "season_is_found": bool(found.season_significance[k] > found.threshold),
+            "season_is_found": came_again and bool(found.season_significance[k] > found.threshold),
         }
         for k, (station, antenna, dipole) in enumerate(owners)
         if found.events[k] > 0

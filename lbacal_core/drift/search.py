@@ -142,14 +142,20 @@ def search_series(series: Series, known_unix: Floats | None = None, false_alarms
     """
     search = _Search(series, known_unix, false_alarms)
     search.fit()  # before it, the season counts as noise of events
-    for _ in range(MOST_ROUNDS):
-        search.fit()
-        if not search.improve():
-            break
-    search.settle_medians()
-    while search.drop():  # what the settled medians leave below the threshold
-        search.fit()
-    return search.report()
+    found, terms, errors = search.run(), search.terms, search.errors.copy()
+    # the steps of many series are noise that lasts, in which none of them stands out
+    if not any(one.variance for one in search.lasting) or not search.add_to_white_noise():
+        return found
+    of_white = search.terms, search.errors.copy()
+    cost = search.settle_cost(terms, errors) - search.cut
+    search.begin(*of_white)
+    other = search.run()
+    of_other = search.settle_cost(search.terms, search.errors)
+    if of_other >= cost:
+        return found
+    search.begin(*search.without_terms())  # with medians as settled
+    search.run()
+    return other if of_other < search.settle_cost(search.terms, search.errors) - search.cut else found
 
 
 class _Search(SeriesModel):
@@ -161,6 +167,49 @@ class _Search(SeriesModel):
         self.leakage = LEAKAGE / np.maximum(members - 1, 1)
         self.was_settled, self.was_begun_again = np.zeros((2, len(series.group)), dtype=bool)
 
+    def run(self) -> Found:
+        """Estimate the noise, add terms until nothing improves, settle medians, and report."""
+        self._improve_on()
+        self.settle_medians()
+        while self.drop():  # what the settled medians leave below the threshold
+            self.fit()
+        return self.report()
+
+    def _improve_on(self) -> bool:
+        """Fit and improve until nothing changes; whether anything did."""
+        for k in range(MOST_ROUNDS):
+            self.fit()
+            if not self.improve():
+                return k > 0
+        return True
+
+    def settle_cost(self, terms: Terms, errors: Floats) -> float:
+        """What noise and terms cost when both and the medians are settled."""
+        self.begin(terms, errors)
+        for _ in range(SETTLING_ROUNDS):
+            self._renew(np.ones_like(self.was_settled))
+            self.fit()
+        return self.total_cost()
+
+    def add_to_white_noise(self) -> bool:
+        """Add terms as if nothing lasted beside them; whether there are any."""
+        self.begin(self.terms, self.errors)
+        self.is_white = True
+        has_more = self._improve_on()
+        self.is_white = False
+        return has_more
+
+    def without_terms(self) -> tuple[Terms, Floats]:
+        """The terms that are known, with the errors of their dates."""
+        self.remove(self.is_free, self.terms.has_slope)
+        return self.terms, self.errors
+
+    def begin(self, terms: Terms, errors: Floats) -> None:
+        """Begin with some terms: let noise be estimated, medians be taken and everything be tried once more."""
+        self.restore(terms, errors, self.all)
+        self.rounds, self.was_settled[:], self.was_begun_again[:] = 0, False, False
+        self._renew(np.ones_like(self.was_settled))
+
     def improve(self) -> bool:
         """Drop, add, exchange terms or begin again, the first that changes anything; whether anything changed."""
         return self.drop() or self._add() or self._exchange() or self._begin_again()
@@ -168,7 +217,7 @@ class _Search(SeriesModel):
     def drop(self) -> bool:
         """Take out steps and slopes below the threshold; whether there were any."""
         steps, slopes = self.own_chi2()
-        is_out = np.isfinite(self.terms.dates) & ~self.terms.is_known & (steps < self.cut)
+        is_out = self.is_free & (steps < self.cut)
         no_slope = self.terms.has_slope & (slopes < self.cut)
         self.remove(is_out, no_slope)
         return self._renew(no_slope | np.any(is_out, axis=1))
@@ -204,7 +253,7 @@ class _Search(SeriesModel):
 
     def _exchange(self) -> bool:
         """Take out each term of a series in turn, and put in its place what explains more, if any does."""
-        is_free = np.isfinite(self.terms.dates) & ~self.terms.is_known
+        is_free = self.is_free
         asked = (np.any(is_free, axis=1) | self.terms.has_slope) & ~self.was_settled
         self.was_settled |= asked
         changed = np.zeros_like(asked)
@@ -217,7 +266,6 @@ class _Search(SeriesModel):
     def _replace_term(self, rows: NDArray[np.int64], step: int) -> NDArray[np.bool_]:
         """Replace a step of series, or with -1 their slope, where another term explains more; where it did."""
         before, errors, cost = self.terms, self.errors.copy(), self.find_cost(rows)
-        of_slope = self.own_chi2()[1][rows] if step < 0 else 0.0
         out = np.zeros_like(before.is_known)
         if step >= 0:
             out[rows, step] = True
@@ -226,10 +274,11 @@ class _Search(SeriesModel):
         steps, slopes = self.scores(rows)
         gets_slope = (step >= 0) & (slopes > over_dates(steps))
         self.terms.has_slope[rows[gets_slope]] = True
-        gets_step = ~gets_slope & np.any(steps > 0.0, axis=1) & (over_dates(steps) > of_slope)
+        gets_step = ~gets_slope & np.any(steps > 0.0, axis=1)
         self.put_steps(rows[gets_step], np.argmax(steps, axis=1)[gets_step])
         self.fit_terms(rows)
-        is_better = self.find_cost(rows) < cost - BETTER
+        of_date = steps.max(axis=1) - over_dates(steps) if step < 0 else 0.0  # within a month it explains more
+        is_better = self.find_cost(rows) + of_date < cost - BETTER
         self.restore(before, errors, rows[~is_better])
         self.fit_terms(rows)
         return np.asarray(is_better)
@@ -254,7 +303,7 @@ class _Search(SeriesModel):
 
     def _begin_again(self) -> bool:
         """Explain series that have a slope and steps by steps alone, once, and keep what costs less."""
-        is_free = np.isfinite(self.terms.dates) & ~self.terms.is_known
+        is_free = self.is_free
         rows = np.flatnonzero(self.terms.has_slope & np.any(is_free, axis=1) & ~self.was_begun_again)
         if rows.size == 0:
             return False
@@ -277,7 +326,7 @@ class _Search(SeriesModel):
         return self._renew(of_rows & ~np.isin(self.all, back))
 
     def report(self) -> Found:
-        """Report steps and slopes; slopes of all series from a last fit in which each has one."""
+        """Report steps and slopes; slopes of all series from a fit in which each has one."""
         self.widen_dates()
         steps, _ = self.own_chi2()
         at = slice(STEPS, None)
@@ -298,12 +347,12 @@ class _Search(SeriesModel):
         self.fit_terms(self.all)
         variance = self.result.covariance[:, :, SLOPE, SLOPE]
         slope_chi2 = chi_square(self.whitener, self.result.theta[:, :, SLOPE], variance)
-        return Found(
+        found = Found(
             terms=terms,
             events=self.is_known.sum(axis=1),
-            step_sigma_s=self.errors[0],
-            step_earliest=self.errors[1],
-            step_latest=self.errors[2],
+            step_sigma_s=self.errors[0].copy(),
+            step_earliest=self.errors[1].copy(),
+            step_latest=self.errors[2].copy(),
             step_size=size,
             step_size_sigma=size_sigma,
             step_significance=np.where(has_step, find_significance(steps, modes), np.nan),
@@ -313,8 +362,11 @@ class _Search(SeriesModel):
             season=np.moveaxis(season, 0, -1),
             season_sigma=np.moveaxis(season_sigma, 0, -1),
             season_significance=find_significance(season_chi2, 2 * modes),
-            median=self.median,
-            noise=self.scale.T,
+            median=self.median.copy(),
+            noise=self.scale.T.copy(),
             lasting=self.lasting,
             threshold=float(find_significance(np.array(self.cut), modes)),
         )
+        self.terms = terms
+        self.fit_terms(self.all)
+        return found

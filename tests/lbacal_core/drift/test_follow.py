@@ -51,6 +51,27 @@ def test_two_antennas_are_compared_over_both_polarisations_and_one_with_nothing(
     assert alone.whole is None
 
 
+def test_a_station_of_one_antenna_hides_no_step_of_another():
+    """All polarisations had to have three stations, that of its two paths as well: none was compared."""
+    history = draw_history(WORLD, np.random.default_rng(4))
+    single = draw_history(replace(WORLD, stations=1, antennas=1), np.random.default_rng(5))
+    at = np.linspace(0, single.time_unix.size - 1, history.time_unix.size).astype(int)
+    history.ln_c[np.ix_(history.station == "CS003", history.time_unix >= START + 1.5 * YEAR, [0])] += 0.06
+    found = follow(
+        replace(
+            history,
+            station=np.append(history.station, ["RS106", "RS106"]),
+            antenna=np.append(history.antenna, single.antenna),
+            dipole=np.append(history.dipole, single.dipole),
+            ln_c=np.concatenate([history.ln_c, single.ln_c[:, at]]),
+            known_unix=np.full((len(history.station) + 2, 0), np.inf),
+        )
+    )
+    assert found.stations is not None
+    stepped = np.any(np.isfinite(found.stations.terms.dates), axis=1)
+    assert {of for of, yes in zip(found.groups, stepped, strict=True) if yes} == {("CS003", "X"), ("CS003", "Y")}
+
+
 def test_years_are_as_correlated_as_the_integral_over_all_lines_says():
     """Over level and slope, flat, and over the scatter s, 1/s: what is left of s^-n exp(-Q / 2 s^2) is Q^(-n/2)."""
     year, rng = np.array([0, 1, 3, 4, 6]), np.random.default_rng(4)
@@ -105,6 +126,14 @@ def test_a_report_tells_changes_slopes_and_the_trend_in_frequency():
     # a tilt of 0.01 a year: half of what lies between the lowest and the highest channel
     ends = np.array(whole["frequency"]["slope"])[[0, -1]]
     assert np.diff(ends) / 2 == pytest.approx([0.01], abs=0.001)
+
+
+def test_a_season_that_was_seen_once_may_as_well_be_a_step():
+    for years in (1.0, 2.0):
+        history = draw_history(replace(WORLD, years=years), np.random.default_rng(7))
+        history.ln_c[5, :, 0] += 0.08 * np.cos(2 * np.pi * (history.time_unix - START) / YEAR)
+        slopes = describe_followed(history, follow(history), MHZ)["slopes"]
+        assert any(one["season_is_found"] for one in slopes) == (years > 1.0)
 
 
 TWO_YEARS = World(years=2.0, stations=1, antennas=12, events_per_year=500, yearly=0.03)

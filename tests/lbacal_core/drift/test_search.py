@@ -233,6 +233,44 @@ def test_two_known_series_have_no_median():
     assert np.isnan(others[:, 0, 0]).all()
 
 
+@pytest.mark.parametrize(("members", "episodes"), [(8, 5), (4, 7)])
+def test_many_paths_that_fail_and_are_repaired_are_no_noise_that_lasts(members, episodes):
+    """Of thirty dates in eights six were found, of 42 in fours two."""
+    found, false = 0, 0
+    for seed in range(3):
+        rng = np.random.default_rng([5, seed])
+        time_unix = np.sort(rng.uniform(0.0, 2 * YEAR_S, 600))
+        values = np.array([0.03, 0.015, 0.015]) * rng.standard_normal((32, 600, 3))
+        group = np.arange(32) // members
+        at = rng.choice(32, episodes, replace=False) if members < 8 else np.arange(episodes)
+        dates = (0.1 + 0.22 * np.arange(episodes)[:, None] % 1.6 + np.array([0.0, 0.1])) * YEAR_S
+        for path, (first, last) in zip(at, dates, strict=True):
+            values[path, (time_unix >= first) & (time_unix < last), 0] -= 0.08
+        terms = search_series(Series(values.astype(np.float32), group, time_unix))
+        for path, own in zip(at, dates, strict=True):
+            told = _dates(terms, path)
+            near = np.abs(told[:, None] - own) < 30 * DAY
+            found += int(near.any(axis=0).sum())
+            false += int((~near.any(axis=1)).sum())
+        false += int(np.isfinite(np.delete(terms.terms.dates, at, axis=0)).sum())
+    assert found >= 18
+    assert false <= 1
+
+
+def test_a_step_of_twelve_per_cent_in_a_year_is_no_slope():
+    """Three of six were found: in months the date of a step is that of their turn, and a slope explains as much."""
+    found = 0
+    for seed in range(6):
+        rng = np.random.default_rng([6, seed])
+        time_unix = np.sort(rng.uniform(0.0, YEAR_S, 300))
+        values = np.array([0.03, 0.015, 0.015]) * rng.standard_normal((16, 300, 3))
+        values[5, time_unix >= 0.695 * YEAR_S, 0] -= 0.128
+        told = search_series(Series(values.astype(np.float32), np.arange(16) // 4, time_unix))
+        found += np.any(np.abs(_dates(told, 5) - 0.695 * YEAR_S) < 20 * DAY)
+        assert not np.any(told.terms.has_slope[:5]), seed
+    assert found >= 5
+
+
 def _step_in_three_of_four(rng: np.random.Generator) -> tuple[Series, np.ndarray]:
     series = _draw(rng, series=4, years=3.0)
     dates = YEAR_S * rng.uniform(0.5, 2.5, 3)
