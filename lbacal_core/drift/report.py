@@ -72,6 +72,11 @@ class Change:
     significance: float
     is_known: bool
 
+    @property
+    def paths(self) -> set[tuple[int | None, str]]:
+        """Antennas and dipoles of the members; one that steps twice has two changes, however near."""
+        return {(one.antenna, one.dipole) for one in self.members}
+
 
 def list_changes(history: History, followed: Followed) -> list[Change]:
     """List the changes of all stations, the most significant first."""
@@ -129,7 +134,7 @@ def _is_at_one_date(one: Change, other: Change, span_s: float) -> bool:
 
 
 def _may_be_one(one: Change, other: Change) -> bool:
-    if one.station != other.station or one.is_known != other.is_known:
+    if one.station != other.station or one.is_known != other.is_known or one.paths & other.paths:
         return False
     return abs(one.date_unix - other.date_unix) <= SAME_DATE * _error_of(one, other) + DAY_S
 

@@ -154,7 +154,7 @@ def search_series(series: Series, known_unix: Floats | None = None, false_alarms
     if of_other >= cost:
         return found
     search.begin(*search.without_terms())  # with medians as settled
-    search.run()
+    found = search.run()
     return other if of_other < search.settle_cost(search.terms, search.errors) - search.cut else found
 
 
@@ -184,7 +184,7 @@ class _Search(SeriesModel):
         return True
 
     def settle_cost(self, terms: Terms, errors: Floats) -> float:
-        """What noise and terms cost when both and the medians are settled."""
+        """Tell what noise and terms cost when both and the medians are settled."""
         self.begin(terms, errors)
         for _ in range(SETTLING_ROUNDS):
             self._renew(np.ones_like(self.was_settled))

@@ -163,6 +163,17 @@ def test_steps_at_two_dates_are_two_changes():
     assert sorted(len(change.members) for change in changes) == [1, 1]
 
 
+def test_two_steps_of_a_path_are_two_changes_however_near():
+    """A failure known to ten days and its repair were one change, of two sizes at the date of the repair."""
+    history = _history(2)
+    at = (history.time_unix >= START + 0.9 * YEAR) & (history.time_unix < START + 0.98 * YEAR)
+    history.ln_c[2, np.flatnonzero(at), 0] -= 0.08
+    followed = follow(history)
+    sigma = np.where(np.isfinite(followed.paths.step_sigma_s), 20 * DAY, np.nan)
+    changes = list_changes(history, replace(followed, paths=replace(followed.paths, step_sigma_s=sigma)))
+    assert sorted(len(change.members) for change in changes) == [1, 1]
+
+
 def test_a_date_known_to_weeks_agrees_with_that_of_another_antenna_by_chance():
     """A step of 1 % got the date of a cable of another antenna, a fortnight off, with an error of a day."""
     history = _history(2)
