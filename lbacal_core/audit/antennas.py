@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -204,14 +205,45 @@ def find_empty_channels(station: AuditedStation) -> list[Line]:
     return [Line("channels", WRONG, station.name, sentence)]
 
 
+COPIED = 3
+"""Events from which on one spectrum in two paths is no chance: numbers so coarse that paths agree by chance so often
+agree in other events too, of which there are more pairs, and a spectrum that another event holds does not count."""
+
+
 def find_copies(station: AuditedStation) -> list[Line]:
-    """Tell paths that hold the numbers of another, whose noise is never the same."""
-    lines, seen = [], dict[bytes, str]()
-    for a, d in np.ndindex(*station.power.shape[:2]):
-        own, path = station.power[a, d], f"antenna {station.antennas[a]} {station.dipoles[d]}"
-        if np.nanstd(own) > 0 and path != (first := seen.setdefault(own.tobytes(), path)):
-            sentence = f"{path} holds the same numbers as {first}: one is a copy, or both were read from one receiver"
-            lines.append(Line("copy", WRONG, station.name, sentence, (int(station.antennas[a]),), station.dipoles[d]))
+    """Tell paths that hold spectra of another, whose noise is never the same, in some of their events or in all."""
+    paths = [(int(antenna), dipole) for antenna in station.antennas for dipole in station.dipoles]
+    power, time = station.power.reshape(len(paths), *station.power.shape[2:]), station.time_unix
+    is_known = np.isfinite(power[..., 0])
+    holders, shared = defaultdict[int, list[tuple[int, int]]](list), defaultdict[tuple[int, int], list[int]](list)
+    for path, event in np.argwhere(is_known).tolist():
+        holders[hash(power[path, event].tobytes())].append((path, event))
+    for (first, event), *others in holders.values():
+        if all(at == event for _, at in others):
+            for path, _ in others:
+                shared[first, path].append(event)
+    lines = []
+    for (first, own), events in sorted(shared.items()):
+        known = np.flatnonzero(is_known[own])
+        if len(events) < min(COPIED, known.size) or np.ptp(power[own, events]) == 0:
+            continue
+        is_whole, begin, end = len(events) == known.size, events[0], events[-1]
+        (antenna, dipole), (other, letter) = paths[own], paths[first]
+        days = [f"{datetime.fromtimestamp(float(time[at]), UTC):%Y-%m-%d}" for at in (begin, end)]
+        part = "" if is_whole else f" in {len(events)} of {known.size} events, {' to '.join(days)}"
+        told = f"antenna {antenna} {dipole} holds the same numbers as antenna {other} {letter}{part}"
+        lines.append(
+            Line(
+                "copy",
+                WRONG,
+                station.name,
+                f"{told}: one is a copy, or both were read from one receiver",
+                (antenna,) if is_whole or other == antenna else (other, antenna),
+                dipole,
+                since_unix=None if begin == known[0] else float(time[begin - 1 : begin + 1].mean()),
+                until_unix=None if end == known[-1] else float(time[end : end + 2].mean()),
+            )
+        )
     return lines
 
 

@@ -95,7 +95,7 @@ class PutRight:
     errors
         What was wrong with it.
     left_out
-        Paths that do not work, which are left out, in words.
+        Paths that do not work, or whose spectra are copies for a time, which are left out, in words.
     as_recorded
         The spectra of the paths that work, under the record as it was.
     """
@@ -122,9 +122,11 @@ def put_right(spectra: Spectra, simulation: Simulation) -> PutRight | None:
     left_out = [one for one in wrong if one.dipole is not None and one.antennas]
     if not errors and not left_out:
         return None
-    ill = {(antenna, one.dipole) for one in left_out for antenna in one.antennas}
-    paths = zip(spectra.antenna.tolist(), spectra.dipole.tolist(), strict=True)
-    working = spectra.select(np.flatnonzero([path not in ill for path in paths]))
+    is_ill = np.zeros(len(spectra), dtype=bool)
+    for ill in left_out:
+        of_path = np.isin(spectra.antenna, ill.antennas) & (spectra.dipole == ill.dipole)
+        is_ill |= of_path & ill.is_during(spectra.time_unix)
+    working = spectra.select(np.flatnonzero(~is_ill))
     for line in (one.line for one in errors if one.line.unit == "h"):
         for end in (line.since_unix, line.until_unix):
             if end is not None:  # whose clock is that of before or after, nobody knows

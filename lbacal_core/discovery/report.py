@@ -624,5 +624,6 @@ def _search_put_right(
     (as_recorded,), known = gather_stations(right.as_recorded.select(same), simulation), simulation.differences
     modes = None if known is None else model_modes(as_recorded, known)
     before = fit_adopted(as_recorded, simulation.causes, modes).model
-    ill = [f"antenna {one.antennas[0]} {one.dipole}" for one in right.left_out]
+    whole = [one for one in right.left_out if one.since_unix is None and one.until_unix is None]
+    ill = [f"antenna {antenna} {one.dipole}" for one in whole for antenna in one.antennas]
     return replace(report, record=right.errors, as_recorded=before, deaf=sorted({*report.deaf, *ill}))

@@ -219,6 +219,27 @@ def test_a_path_with_the_numbers_of_another_is_a_copy(station):
     assert find_copies(station) == []
 
 
+def test_spectra_copied_for_some_events_are_told_with_their_number_and_days(station):
+    """Two months of one antenna under the number of another were a change of gain for 61 days."""
+    power, time = station.power.copy(), station.time_unix
+    power[ANTENNA, :, 5:9] = power[0, :, 5:9]
+    lines = find_copies(replace(station, power=power))
+    assert [(line.antennas, line.dipole) for line in lines] == [
+        ((int(station.antennas[0]), int(station.antennas[ANTENNA])), letter) for letter in station.dipoles
+    ]
+    assert f" in 4 of {time.size} events, 2014" in lines[0].sentence
+    assert np.flatnonzero(lines[0].is_during(time)).tolist() == [5, 6, 7, 8]
+
+
+def test_coarse_or_constant_numbers_are_no_copies(station):
+    power = np.round(np.log(station.power[..., :2]))  # of two channels, which other events hold as well
+    assert np.all(power[0, 0, 0] == power[0, 0, 1])
+    assert find_copies(replace(station, power=power)) == []
+    power = station.power.copy()
+    power[:2, :, 4:] = 7.0
+    assert find_copies(replace(station, power=power)) == []
+
+
 def test_a_rise_to_the_end_of_the_band_must_be_twice_as_tall_as_a_peak(station):
     nu = station.frequency_mhz
     for centre, factor, kinds in ((55.0, 2.5, ["oscillating"]), (30.0, 2.5, []), (80.0, 6.0, ["oscillating"])):

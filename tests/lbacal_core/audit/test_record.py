@@ -44,6 +44,17 @@ def test_letters_exchanged_until_a_date_are_exchanged_back_until_then(spectra, k
     assert list(right.spectra.dipole) == list(spectra.dipole)
 
 
+def test_copied_spectra_are_left_out_for_as_long_as_they_are_copies(spectra, known):
+    times = np.unique(spectra.time_unix)
+    own, other = ((spectra.antenna == a) & (spectra.dipole == "X") for a in np.unique(spectra.antenna)[:2])
+    is_late, power = spectra.time_unix > times[10], spectra.power.copy()
+    power[own & is_late] = power[other & is_late]
+    right = put_right(replace(spectra, power=power), Simulation(known))
+    assert right.errors == []
+    assert set(right.spectra.time_unix[right.spectra.antenna == spectra.antenna[own][0]]) == set(times)
+    assert len(spectra) - len(right.spectra) == 2 * np.sum(own & is_late)
+
+
 def test_a_clock_that_is_off_is_set_by_its_size(spectra, known):
     late = replace(spectra, time_unix=spectra.time_unix + 5 * 3600.0)
     right = put_right(late, Simulation(known))
