@@ -152,9 +152,9 @@ def _delays_us(frequency_mhz: Floats) -> list[float]:
 
 
 def log_loss_per_metre(cables: dict[str, Floats]) -> Floats | None:
-    """Change of ln L_coax per metre from cables named by their length in m, shape (freq,); None for other names."""
+    """Change of ln L_coax per metre from cables named by their length (`50`, `50 m`), shape (freq,); else None."""
     try:
-        lengths = {name: float(name) for name in cables}
+        lengths = {name: float(name.removesuffix("m")) for name in cables}
     except ValueError:
         return None
     per_metre = [np.log(loss) / lengths[name] for name, loss in cables.items() if lengths[name] > 0]
