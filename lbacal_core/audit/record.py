@@ -163,8 +163,8 @@ def _correct(spectra: Spectra, instrument: Instrument, line: Line) -> tuple[Spec
         exchanged = np.where(spectra.dipole == one, other, one)
         return replace(spectra, dipole=np.where(is_wrong, exchanged, spectra.dipole)), instrument
     if line.value is not None and line.unit == "h":
-        ahead = is_summer_time(spectra.time_unix) if line.kind == SUMMER_TIME else 0.0
-        late_s = (line.value - ahead) * SIDEREAL_DAY_S / 24.0
+        late_h = np.where(is_summer_time(spectra.time_unix), *(line.seasons_h or (line.value, line.value)))
+        late_s = late_h * SIDEREAL_DAY_S / 24.0
         return replace(spectra, time_unix=spectra.time_unix + line.is_during(spectra.time_unix) * late_s), instrument
     if line.check == "arms":
         turned = instrument.dipole_azimuth_deg if line.dipole is None else (line.dipole,)

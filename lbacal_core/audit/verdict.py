@@ -43,6 +43,8 @@ class Line:
         The `Possibility` that is better than the record.
     since_unix, until_unix
         When it begins or ends, s UTC, where that lies within the data.
+    seasons_h
+        Size of a clock in Europe's summer time and else, h, where they differ; `value` is the more significant one.
     """
 
     check: str
@@ -59,6 +61,7 @@ class Line:
     kind: str = ""
     since_unix: float | None = None
     until_unix: float | None = None
+    seasons_h: tuple[float, float] | None = None
 
     def is_during(self, time_unix: Floats) -> NDArray[np.bool_]:
         """Whether it concerns instants, same shape, s UTC."""
@@ -244,7 +247,7 @@ def _tell_shift(station: str, clock: Possibility, signs: Sequence[Possibility], 
 
 
 def tell_summer(line: Line, summer: Possibility, winter: Possibility) -> Line:
-    """The line of a clock, or one with the winter's value, of local time, where summer is an hour later."""
+    """The line of a clock, or one of local time with both values, where summer is an hour later."""
     values = [(one.value or 0.0, one.sigma or float("inf")) for one in (summer, winter)]
     half_day, sigma = HOURS / 2, math.hypot(values[0][1], values[1][1])
     apart = (values[0][0] - values[1][0] + half_day) % HOURS - half_day
@@ -253,8 +256,11 @@ def tell_summer(line: Line, summer: Possibility, winter: Possibility) -> Line:
     each = (f"{60 * value:+.0f} +- {60 * error:.0f} min" for value, error in values)
     sentence = f"sidereal time is {next(each)} in Europe's summer time and {next(each)} else from that of clock and "
     sentence += "longitude on record: local time with summer time?"
-    value, sigma = values[1]
-    return Line("clock", WRONG, line.station, sentence, (), None, line.log_odds, value, sigma, "h", (), SUMMER_TIME)
+    value, sigma = max(values, key=lambda one: abs(one[0]) / one[1])
+    return Line(
+        "clock", WRONG, line.station, sentence, log_odds=line.log_odds, value=value, sigma=sigma, unit="h",
+        kind=SUMMER_TIME, seasons_h=(values[0][0], values[1][0]),
+    )  # fmt: skip
 
 
 def _far(hours: float, sigma: float) -> float:

@@ -241,7 +241,7 @@ def _record_finding(error: RecordError, report: StationReport) -> dict[str, Any]
         error.cause,
         indistinguishable=[],
         size=error.size,
-        parameters={},
+        parameters=dict(zip(("summer_time_h", "else_h"), line.seasons_h or (), strict=False)),
         chance=((2.0 * odds) ** 0.5, float(np.exp(-odds))),
         where=_where(report, target, {}, (line.since_unix, line.until_unix)),
         gain=tell_gain(chi2_before, chi2_after, dof),
