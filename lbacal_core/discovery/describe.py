@@ -93,12 +93,12 @@ class Decider:
     times
         Information of one such event over that of a typical one.
     events
-        Number of such events after which the sentences differ by 3 standard deviations.
+        Number of such events after which the sentences differ by 3 standard deviations; None for too many.
     """
 
     where: str
     times: float
-    events: float
+    events: float | None
 
 
 @dataclass(frozen=True)
@@ -265,6 +265,8 @@ def _amounts(model: LinearModel, one: Described, targets: Sequence[Target]) -> d
 
 PARTS = 6
 """Parts of an axis among which one looks for the spectra that tell most."""
+MOST_TIMES = 10
+"""Events that nobody can wait for, over those at hand: those of ten years where these are of one."""
 
 
 def _what_decides(model: LinearModel, one: Described, other: Described) -> Decider | None:
@@ -292,7 +294,9 @@ def _what_decides(model: LinearModel, one: Described, other: Described) -> Decid
             inside = known & (values >= low) & (values <= high)
             candidates.append((float(by_event[inside].mean()), words.format(low, high)))
     most, where = max(candidates)
-    return Decider(where, most / float(by_event[is_there].mean()), 9.0 / most)
+    events = 9.0 / most
+    reached = events if events <= MOST_TIMES * is_there.sum() else None
+    return Decider(where, most / float(by_event[is_there].mean()), reached)
 
 
 def _axes_of(conditions: Conditions) -> list[tuple[Floats, str]]:

@@ -429,10 +429,11 @@ def _said(description: Description, report: StationReport) -> dict[str, Any]:
         words += f" Beside it {description.remains.in_words} remains."
         found["remains"] = {"axis": description.remains.axis_name, "p_value": description.remains.p_value}
     if (decider := description.decider) is not None:
-        found["would_decide"] = (
-            f"{max(decider.events, 1.0):.0f} more events {decider.where} would tell the first two apart, each worth "
-            f"{decider.times:.1f} of a typical one; or {' or '.join(PLACES[one].confirm for one in places[:2])}"
-        )
+        more = "no more events tell the first two apart:"
+        if decider.events is not None:
+            more = f"{max(decider.events, 1.0):.0f} more events {decider.where} would tell the first two apart, each "
+            more += f"worth {decider.times:.1f} of a typical one; or"
+        found["would_decide"] = f"{more} {' or '.join(PLACES[one].confirm for one in places[:2])}"
     amounts = {str(number): {"value": size, "sigma": sigma} for number, (size, sigma) in description.amounts.items()}
     return {**found, "in_words": words, "amounts": amounts or None}
 

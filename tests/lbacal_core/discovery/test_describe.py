@@ -9,11 +9,12 @@ import pytest
 from lbacal_core.causes.catalogue import CAUSES, FORMAT, NamedSentence, catalogue_with
 from lbacal_core.causes.grammar import law_of, parts_of, sentence
 from lbacal_core.causes.model import Model
+from lbacal_core.discovery import describe
 from lbacal_core.discovery.describe import CERTAIN, Description, _amounts, _fit_likely, describe_structure
 from lbacal_core.discovery.hypothesis import list_targets
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.refit import fit_chain
-from lbacal_core.discovery.report import investigate
+from lbacal_core.discovery.report import _said, investigate
 from lbacal_core.discovery.residual_structure import find_structure, strongest_structure
 from lbacal_core.discovery.search import search_station
 from lbacal_core.discovery.sentences import ScoredSentence, estimate_sentence, likeliest_sentences
@@ -152,7 +153,7 @@ def test_a_shadow_that_grows_from_antenna_to_antenna_is_said_to(chain, sky, simu
 
 
 @pytest.mark.long
-def test_rivals_come_with_odds_and_with_what_would_decide(spoil, simulation):
+def test_rivals_come_with_odds_and_with_what_would_decide(spoil, simulation, monkeypatch):
     """A gain that swings with two waves a day: at this size the data tell its course, and hardly its place."""
     report, (found,) = investigate(spoil(MainsHum(size=0.006)), simulation)
     left = report["unexplained"]
@@ -164,6 +165,10 @@ def test_rivals_come_with_odds_and_with_what_would_decide(spoil, simulation):
     assert "course" in left["in_words"].split("Known:")[1]
     assert "more events" in left["would_decide"]
     assert found.description.decider.times > 1.0
+    monkeypatch.setattr(describe, "MOST_TIMES", 0)  # 547,813 events were asked for where there were 300
+    decider = describe._what_decides(found.last.linear, *found.description.sentences[:2])
+    said = _said(replace(found.description, decider=decider), found)["would_decide"]
+    assert said.startswith("no more events tell the first two apart: ")
 
 
 @pytest.mark.long
