@@ -70,7 +70,10 @@ def parse_scope(key: str) -> Scope:
 
 @dataclass(frozen=True)
 class Promotion:
-    """One line of the ledger; `calibration` None withdraws. `number` orders promotions of the same instant `at`."""
+    """One line of the ledger; `calibration` None withdraws. `number` orders promotions of the same instant `at`.
+
+    That of a rollback `undoes` the act of another instant.
+    """
 
     number: int
     scope: Scope
@@ -80,6 +83,7 @@ class Promotion:
     at: Instant
     by: str = ""
     reason: str = ""
+    undoes: Instant | None = None
 
     def __post_init__(self) -> None:
         if self.valid_to is not None and self.valid_to <= self.valid_from:

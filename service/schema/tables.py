@@ -193,6 +193,7 @@ promotion = _table(
     Column("at_us", BigInteger, nullable=False, index=True),
     Column("by", Text, nullable=False),
     Column("reason", Text, nullable=False),
+    Column("undoes_us", BigInteger),
     Index("ix_promotion_newest", "scope", "at_us", "id", "valid_from_us", "valid_to_us"),
     Index("ix_promotion_start", "scope", "valid_from_us", "valid_to_us", "id"),
     Index("ix_promotion_end", "scope", "valid_to_us"),

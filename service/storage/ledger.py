@@ -318,9 +318,20 @@ class LedgerStore(Store):
 
     def act_of(self, number: int) -> list[Promotion]:
         """A promotion and those that were one act with it, in order of their numbers; empty if there is none."""
-        of_number = select(promotion.c.at_us).where(promotion.c.id == number).scalar_subquery()
-        statement = select(promotion).where(promotion.c.at_us == of_number).order_by(promotion.c.id)
+        return self.act_at(select(promotion.c.at_us).where(promotion.c.id == number).scalar_subquery())
+
+    def act_at(self, at: Instant | ScalarSelect[Any]) -> list[Promotion]:
+        """The promotions of an instant, which were one act, in order of their numbers."""
+        statement = select(promotion).where(promotion.c.at_us == at).order_by(promotion.c.id)
         return [_value(row) for row in self._connection.execute(statement)]
+
+    def undone(self, *also: Instant) -> set[Instant]:
+        """The instants of the acts that rollbacks undo, a rollback that is itself undone aside; `also` acts are."""
+        found = set(also)
+        undoing = select(promotion.c.at_us, promotion.c.undoes_us).where(promotion.c.undoes_us.is_not(None)).distinct()
+        for at, of in self._connection.execute(undoing.order_by(promotion.c.at_us.desc())):
+            found |= set() if at in found else {of}
+        return found
 
     def standing(
         self,
@@ -328,21 +339,26 @@ class LedgerStore(Store):
         since: Instant | None = None,
         until: Instant | None = None,
         before: Instant | None = None,
+        without: set[Instant] | None = None,
     ) -> list[Promotion]:
         """The promotions that can decide somewhere in [since, until), oldest first: the newest of each interval.
 
         Later ids have later instants `at`, so the largest id of an interval is its newest promotion. With `before` only
-        promotions made before that instant count: then all are gone through, and not only those that stand now.
+        promotions made before that instant count, and with `without` neither rollbacks nor the acts of these instants:
+        then all are gone through, and not only those that stand now.
         """
         keys = self._keys({scope.key for scope in scopes})
-        if before is None:
+        if before is None and without is None:
             return self._standing_now(keys, since, until)
         newest = select(func.max(promotion.c.id)).where(promotion.c.scope.in_(select(keys.c.value)))
         if since is not None:
             newest = newest.where(or_(promotion.c.valid_to_us.is_(None), promotion.c.valid_to_us > since))
         if until is not None:
             newest = newest.where(promotion.c.valid_from_us < until)
-        newest = newest.where(promotion.c.at_us < before)
+        if before is not None:
+            newest = newest.where(promotion.c.at_us < before)
+        if without is not None:
+            newest = newest.where(promotion.c.undoes_us.is_(None), promotion.c.at_us.not_in(without))
         newest = newest.group_by(promotion.c.scope, promotion.c.valid_from_us, promotion.c.valid_to_us)
         statement = select(promotion).where(promotion.c.id.in_(newest)).order_by(promotion.c.id)
         return [_value(row) for row in self._connection.execute(statement)]
@@ -434,7 +450,8 @@ class LedgerStore(Store):
 def _value(row: Row[Any]) -> Promotion:
     # by position and not by `from_row`: an answer about all paths reads thousands
     scope = Scope(row.station, row.antenna, row.dipole)
-    return Promotion(row.id, scope, row.valid_from_us, row.valid_to_us, row.calibration, row.at_us, row.by, row.reason)
+    interval = row.valid_from_us, row.valid_to_us
+    return Promotion(row.id, scope, *interval, row.calibration, row.at_us, row.by, row.reason, row.undoes_us)
 
 
 # Tags: names under which the ledger is frozen at an instant.

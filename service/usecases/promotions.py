@@ -93,19 +93,26 @@ class Promotions:
             act = stores.ledger.act_of(number)
             if not act:
                 raise NotFoundError(f"no promotion {number}; GET /v1/calibrations/effective names those that answer")
+            undoes, (undone, after) = act[0].at, (stores.ledger.undone(*also) for also in ((), (act[0].at,)))
+            while act[0].undoes is not None:  # undone itself, it brings back what it undid
+                act = stores.ledger.act_at(act[0].undoes)
             since = min(p.valid_from for p in act)
             until = None if any(p.valid_to is None for p in act) else max(p.valid_to or 0 for p in act)
             scopes = {p.scope for p in act}
-            now, before = (stores.ledger.standing(scopes, since, until, before=at) for at in (None, act[0].at))
-            deciding = [one for p in act for one in list_deciding(now, p.scope, p.valid_from, p.valid_to)]
-            own = [one for one in deciding if one.at == act[0].at]
-            if not own:
+            was, becomes = (stores.ledger.standing(scopes, since, until, without=one) for one in (undone, after))
+            having = was if act[0].at in after else becomes
+            own = [
+                one for p in act for one in list_deciding(having, p.scope, p.valid_from, p.valid_to) if one.at == p.at
+            ]
+            if undone == after or not own:
+                now = stores.ledger.standing(scopes, since, until)
+                deciding = [one for p in act for one in list_deciding(now, p.scope, p.valid_from, p.valid_to)]
                 last = max(deciding, key=lambda one: one.number)
                 raise ConflictError(
                     f"promotion {number} decides nowhere any more: for {last.scope.key} {last.calibration or 'nothing'}"
                     f" is in effect since {format_instant(last.at)[:10]}, by promotion {last.number}: roll that back"
                 )
-            wanted = [one for p in own for one in undo(p, before, by, body.reason)]
+            wanted = [replace(one, undoes=undoes) for p in own for one in undo(p, becomes, by, body.reason)]
             return Plan(wanted, self.changes(stores, wanted), stores.ledger.newest_number())
 
     def promote(self, plan: Plan, describe: Describe[Answer]) -> Answer:

@@ -297,6 +297,7 @@ LATER = (
     "DROP INDEX ix_spectrum_far",
     "ALTER TABLE spectrum DROP COLUMN far",
     "ALTER TABLE receipt DROP COLUMN warnings",
+    "ALTER TABLE promotion DROP COLUMN undoes_us",
 )
 
 
@@ -455,7 +456,7 @@ def test_the_page_on_backups_is_followed_word_by_word(
     factory.keys.create(("read",))
     factory.database.close()
     first = rows_of(settings.sqlalchemy_url)
-    assert (first["revision"], len(first["calibration"]), len(first["api_key"])) == ([("0031",)], len(stored), 1)
+    assert (first["revision"], len(first["calibration"]), len(first["api_key"])) == ([("0032",)], len(stored), 1)
     follow("Upgrade")
     upgraded = rows_of(settings.sqlalchemy_url)
     assert upgraded == first

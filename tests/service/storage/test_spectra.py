@@ -226,6 +226,7 @@ def test_what_an_older_schema_holds_is_counted_by_the_upgrade(factory: Factory) 
         connection.exec_driver_sql("DROP INDEX ix_alarm_station_id")
         for name in ("date_us", "sigma_us", "size", "size_sigma", "tilt", "curvature"):
             connection.exec_driver_sql(f"ALTER TABLE change_evidence DROP COLUMN {name}")
+        connection.exec_driver_sql("ALTER TABLE promotion DROP COLUMN undoes_us")
         connection.exec_driver_sql("UPDATE alembic_version SET version_num = '0027'")
     upgrade(factory.database)
     with factory.database.engine.connect() as connection:
