@@ -94,10 +94,7 @@ class Intake:
         return self._store_json(parse_body(SpectraBody, content), digest)
 
     def _store_json(self, body: SpectraBody, digest: str) -> Receipt:
-        require_same_grid(
-            "body", np.array(body.frequency_mhz, dtype=float), self.instrument.frequency_mhz,
-            f"instrument {self.instrument.name}",
-        )  # fmt: skip
+        self._require_channels("body", np.array(body.frequency_mhz, dtype=float))
         times = _read_times(body.spectra)
         rows = _without_repeats(body.spectra, times)
         spectra = _as_spectra(body, rows, times, self.resistance_ohm)
@@ -124,8 +121,7 @@ class Intake:
         received = received or len(spectra)
         if len(spectra) > MAX_SPECTRA:
             raise BadInputError(spectra.origin, f"at most {MAX_SPECTRA} spectra", str(len(spectra)))
-        instrument = f"instrument {self.instrument.name}"
-        require_same_grid(spectra.origin, spectra.frequency_mhz, self.instrument.frequency_mhz, instrument)
+        self._require_channels(spectra.origin, spectra.frequency_mhz)
         if spectra.resistance_ohm != self.resistance_ohm:
             expected, found = f"{self.resistance_ohm:g} as set here", f"{spectra.resistance_ohm:g}"
             raise BadInputError(f"{spectra.origin}: resistance_ohm", expected, found)
@@ -142,6 +138,11 @@ class Intake:
             if digest is not None:
                 stores.spectra.arrivals.keep_receipt(digest, received, warnings, self.clock())
             return Receipt(received, stored, warnings)
+
+    def _require_channels(self, place: str, frequency_mhz: Floats) -> None:
+        name = f"instrument {self.instrument.name} (lbacal spectra and lbacal import average to them with --instrument;"
+        name += " data that stay on other channels need a service of their own)"
+        require_same_grid(place, frequency_mhz, self.instrument.frequency_mhz, name)
 
     def _require_on_record(self, spectra: Spectra, name_place: Place) -> None:
         """Refuse a dipole, station or antenna that the instrument does not have, or does not have at that time."""

@@ -337,6 +337,12 @@ def test_a_refusal_names_the_place_what_was_expected_and_what_was_found(
     assert answer.json()["detail"].startswith(sentence)
 
 
+def test_spectra_on_other_channels_are_refused_with_what_to_do(client: TestClient) -> None:
+    answer = client.post("/v1/spectra", json={**batch(spectrum()), "frequency_mhz": [30.0, 45.0]})
+    assert answer.status_code == 422
+    assert "lbacal spectra and lbacal import average to them with --instrument" in answer.json()["detail"]
+
+
 @pytest.mark.parametrize(
     ("name", "values", "sentence"),
     [
