@@ -22,6 +22,7 @@ from service.handlers.request import (
     media_type_of,
 )
 from service.handlers.routes import acts, page_of, reads
+from service.page.charts import Span
 from service.storage.spectra import StoredEvent
 from service.usecases.keys import Caller
 from service.wire.answer_models import EventAnswer, EventsAnswer, ReceiptAnswer, ReceiptsAnswer
@@ -77,9 +78,11 @@ def list_events(
     In order of arrival, with the count of their spectra; `next` is the cursor of the next page. The flag `far_level`
     lists those of which spectra wait because their level does not belong to what was stored.
     """
-    start = None if since is None else parse_instant("since", since)
-    end = None if until is None else parse_instant("until", until)
-    events = use.database.look(lambda stores: stores.spectra.events(cursor, limit, station, start, end, flag))
+    ends = (None if one is None else parse_instant(name, one) for name, one in (("since", since), ("until", until)))
+    span = Span(*ends)
+    events = use.database.look(
+        lambda stores: stores.spectra.events(cursor, limit, station, span.since, span.until, flag)
+    )
     return answer(request, page_of("events", events, limit, describe_event, attrgetter("number")))
 
 

@@ -33,7 +33,7 @@ from lbacal.pages.chart import (
 )
 from lbacal_core.causes.cause import RAIN, TEMPERATURE
 from lbacal_core.curves.validity import Instant
-from lbacal_core.errors import name_path
+from lbacal_core.errors import BadInputError, name_path
 from lbacal_core.grids import WITHIN_1_SIGMA, Floats
 from service.storage.changes import KeptChange
 from service.usecases.drift import DriftSeries, MonthPoint, VersionPoint
@@ -52,6 +52,10 @@ class Span:
 
     since: Instant | None = None
     until: Instant | None = None
+
+    def __post_init__(self) -> None:
+        if self.since is not None and self.until is not None and self.until <= self.since:
+            raise BadInputError("until", "an instant after since", format_instant(self.until))
 
     def has(self, instant: Instant) -> bool:
         """Whether an instant lies in it."""

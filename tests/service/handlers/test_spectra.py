@@ -191,6 +191,9 @@ def test_events_are_listed_in_pages_and_filtered(client: TestClient) -> None:
     assert rest["next"] is None
     since = client.get("/v1/events", params={"since": "2014-03-02T12:00:00.123456Z", "until": "2014-03-04"}).json()
     assert [e["event_id"] for e in since["events"]] == ["e1", "e2"]
+    for path in ("/v1/events", "/v1/changes"):
+        answer = client.get(path, params={"since": "2014-03-04", "until": "2014-03-02"})
+        assert (answer.status_code, "until: expected an instant after since" in answer.text) == (422, True)
     assert [e["event_id"] for e in client.get("/v1/events?station=CS002").json()["events"]] == ["e5"]
     assert client.get("/v1/events?statoin=CS002").status_code == 422
 
