@@ -288,8 +288,8 @@ def _require_names(spectra: Spectra, name_place: Place) -> None:
     """Refuse events that no address could name."""
     names, first = np.unique(spectra.event_id, return_index=True)
     for name, k in zip(names.tolist(), first.tolist(), strict=True):
-        if len(name) > LONGEST_NAME or not name.isprintable() or "/" in name or name in (".", ".."):
-            expected = f"at most {LONGEST_NAME} printable characters, no '/', not '.' or '..'"
+        if len(name) > LONGEST_NAME or not name.isprintable() or "/" in name or name.strip() in ("", ".", ".."):
+            expected = f"at most {LONGEST_NAME} printable characters, no '/', not '.' or '..', not blanks alone"
             raise BadInputError(name_place("event_id", k), expected, repr(name))
 
 

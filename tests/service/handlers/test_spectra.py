@@ -352,6 +352,7 @@ def test_spectra_on_other_channels_are_refused_with_what_to_do(client: TestClien
         ("station", ["CS009"] * 8, "body: station, row 0: expected one of CS001, CS002, found 'CS009'"),
         ("antenna", [0, 0, 1, 1, 0, 0, 1, 77], "body: antenna, row 7: expected an antenna of CS001 (0 to 2), found 77"),
         ("event_id", ["a/b"] * 4 + ["c"] * 4, "body: event_id, row 0: expected at most 200 printable characters"),
+        ("event_id", ["a"] * 4 + ["  "] * 4, "body: event_id, row 4: expected at most 200 printable characters"),
         ("time_unix", [1.4e9] * 7 + [1.41e9], "body: time_unix, row 7: expected a time within 60 s"),
         ("time_unix", [1.2e9] * 8, "body: time_unix, row 0: expected an instant of 2009 or later"),
         ("frequency_mhz", [30.0, 45.0, 60.0, 81.0], "body: frequency_mhz, channel 3: expected 80 MHz"),
