@@ -25,7 +25,7 @@ from lbacal_core.audit.audit import audit_quickly
 from lbacal_core.data.lofar import SUPERTERP
 from lbacal_core.discovery.curve_search import describe_curve, investigate_curve
 from lbacal_core.discovery.left_open import investigate_openly
-from lbacal_core.discovery.report import Search, StationContent
+from lbacal_core.discovery.report import CONSISTENT, Search, StationContent
 from lbacal_core.discovery.station import Station
 from lbacal_core.errors import BadInputError, write_chance
 from lbacal_core.lstcurve.curve import BAND_MHZ, LstCurve, read_lst_curve
@@ -82,6 +82,8 @@ class Investigation(Extension):
     ----------
     verdict
         `consistent`, `explained` or `unexplained`.
+    headline
+        The verdict in words: where nothing was found, whether the audit finds something wrong.
     findings
         The causes that were found, the most significant first.
     unexplained
@@ -89,6 +91,7 @@ class Investigation(Extension):
     """
 
     verdict: str
+    headline: str
     findings: Sequence[Finding]
     unexplained: Mapping[str, Any] | None
 
@@ -151,10 +154,13 @@ def investigate(
     content["provenance"]["notes"] |= {"audit": audited.sentence} | ({"channels": without} if without else {})
 
     origin = list_origin(measured.origin, simulation, measured.time_unix, content["provenance"])
-    page = partial(draw_investigation, content, origin)
+    headline = content["verdict"]
+    if headline == CONSISTENT and audited.report.wrong:
+        headline += ", but the audit finds something wrong (below)"
+    page = partial(draw_investigation, content, origin, headline)
     return _make(
         measured.origin, content, simulation, page, lambda: map(draw_scores, content["scores"].values()),
-        lambda one: draw_finding(one).values(),
+        lambda one: draw_finding(one).values(), headline,
     )  # fmt: skip
 
 
@@ -189,6 +195,7 @@ def _investigate_curve(curve: LstCurve, simulation: Simulation, band_mhz: tuple[
 def _make(
     source: str, content: dict[str, Any], simulation: Simulation, page: Callable[[], str],
     charts: Callable[[], Iterable[Chart]], of_finding: Callable[[Mapping[str, Any]], Iterable[Chart]],
+    headline: str | None = None,
 ) -> Investigation:  # fmt: skip
     findings = [
         Finding(
@@ -214,8 +221,9 @@ def _make(
         for one in findings
     ]
     notes = [f"{name}: {note}" for name, note in content["provenance"].get("notes", {}).items()]
+    headline = headline or content["verdict"]
     return Investigation(
-        title=f"{source}: {content['verdict']}",
+        title=f"{source}: {headline}",
         rows=[COLUMNS, *rows],
         told=[*_tell(content), *notes],
         notes=notes,
@@ -226,6 +234,7 @@ def _make(
         report=content,
         simulation=simulation,
         verdict=content["verdict"],
+        headline=headline,
         findings=findings,
         unexplained=content["unexplained"],
     )

@@ -242,7 +242,7 @@ def investigate(
         measured = read_lst_curve(lst_curve) if lst_curve else read_selected(files, selection, time.time(), tell)
         found = investigate_data(measured, simulation, None, with_, band, dask=read_address(dask), tell=tell)
     save_each(found, outputs)
-    written = f"{found.verdict}; wrote {report}{f' and {html}' if html else ''}"
+    written = f"{found.headline}; wrote {report}{f' and {html}' if html else ''}"
     show_result(found, [written, *found.lines], as_json=as_json)
 
 

@@ -48,7 +48,8 @@ def list_origin(
     return [*rows.items(), ("lbacal", str(stated.get("lbacal", version("lbacal"))))]
 
 
-def draw_investigation(content: Mapping[str, Any], origin: Origin = ()) -> str:
-    """The report of `lbacal_core.discovery.report.investigate` as a page."""
+def draw_investigation(content: Mapping[str, Any], origin: Origin = (), headline: str = "") -> str:
+    """The report of `lbacal_core.discovery.report.investigate` as a page, whose headline is its verdict or another."""
     made_from = origin or list_origin("spectra", provenance=content["provenance"])
-    return fill_report("investigation.html", report=content, made_from=made_from)
+    headline = headline or content["verdict"]
+    return fill_report("investigation.html", report=content, made_from=made_from, headline=headline)

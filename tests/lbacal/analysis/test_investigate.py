@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -79,6 +80,19 @@ def test_the_simulation_with_the_cause_finds_nothing_more(late: Spectra, found: 
     again = lbacal.investigate(late, found.findings[0].extend())
     assert (again.verdict, len(again.findings)) == ("consistent", 0)
     assert again.report["adopted"][0]["size"]["value"] == pytest.approx(0.3, abs=0.08)
+
+
+def test_what_the_audit_finds_wrong_is_in_the_headline_of_what_is_consistent(sky: SkyPower) -> None:
+    """A wrong cable on record is absorbed by the gain of its antenna, and all read as if it were right."""
+    settings = TwinSettings(stations=("CS002",), antennas=6, events_per_year=250)
+    chain = load_instrument("lofar-superterp")
+    spectra = simulate_campaign(settings, chain, sky, np.random.default_rng(3), []).spectra
+    wrong = [replace(one, cable="50" if one.antenna == 3 else one.cable) for one in chain.antennas]
+    found = lbacal.investigate(spectra, replace(chain, antennas=tuple(wrong)))
+    assert "antenna 3 has the cable" in found.report["provenance"]["notes"]["audit"]
+    assert (found.verdict, found.report["verdict"]) == ("consistent", "consistent")
+    assert found.headline == "consistent, but the audit finds something wrong (below)"
+    assert found.headline in found.title
 
 
 def test_a_fit_with_a_finding_is_that_of_its_report(late: Spectra, found: lbacal.Investigation, tmp_path: Path) -> None:
