@@ -207,6 +207,8 @@ class Client:
             Called with the number of events sent and their total.
         """
         measured = spectra if isinstance(spectra, Spectra) else read_spectra(path_of("ingest", spectra))
+        if not len(measured):
+            raise BadInputError(measured.origin, "spectra", "none")
         total, warned = {"received": 0, "stored": 0, "duplicates": 0}, list[str]()
         events, sent = len(np.unique(measured.event_id)), 0
         bundles = files_of_events(measured, BUNDLE)

@@ -11,7 +11,7 @@ import pytest
 from lbacal.cli.trace_batch import TraceBatch, Work
 from lbacal.client import Client
 from lbacal.engine import LOCAL, Engine
-from lbacal_core.spectra.spectra import read_spectra
+from lbacal_core.spectra.spectra import Spectra, read_spectra, write_spectra
 from lbacal_core.traces.background import CleaningSettings
 from lbacal_core.traces.trace import TraceReference, find_files, group_traces, list_traces
 from lbacal_twin.voltages import Transmitter, digitise, draw_noise, write_frames
@@ -165,6 +165,17 @@ def test_spectra_go_straight_into_a_service_and_can_be_asked_for(
     with Client(url) as client:
         events = client.get("/v1/events")["events"]
     assert sorted(event["event_id"] for event in events) == ["20110719T110541", "20110719T125320"]
+
+
+def test_a_file_without_spectra_is_not_ingested(tmp_path: Path, lbacal: Lbacal) -> None:
+    """0 spectra were said to be sent, without a question to the server."""
+    frequency_mhz, none = np.arange(30.0, 81.0), np.zeros(0)
+    of_rows = dict.fromkeys(("event_id", "station", "dipole"), none.astype(str))
+    counts = dict.fromkeys(("antenna", "blocks"), none.astype(int))
+    empty = Spectra(frequency_mhz=frequency_mhz, power=np.zeros((0, 51)), time_unix=none, **of_rows, **counts)
+    write_spectra(empty, tmp_path / "S.h5")
+    code, _, err = lbacal("ingest", tmp_path / "S.h5")
+    assert (code, err) == (2, "lbacal: S.h5: expected spectra, found none\n")
 
 
 def test_a_folder_of_tables_becomes_a_spectra_file(tmp_path: Path, lbacal: Lbacal) -> None:
