@@ -37,6 +37,8 @@ FEWEST_DAYS = 12
 MONDAY_S = 4 * DAY_S
 """The first Monday of the Unix epoch, which began on a Thursday."""
 
+WEEKDAYS: Sequence[str] = ("Monday", "Tuesday", "Wednesday", "Thursday", "Friday", "Saturday", "Sunday")
+
 Form = tuple[Any, ...]
 """A name with its numbers."""
 
@@ -440,6 +442,13 @@ COURSES: dict[str, Kind] = {
         "Saturday-Sunday",
         gates=True,
     ),
+    "weekday": Kind(
+        lambda c, name: (7.0 * _phase(c, WEEK) // 1.0 % 7.0 == WEEKDAYS.index(name)).astype(float),
+        lambda c: list(product(WEEKDAYS)) if _where_weeks(c) else [],
+        "on {0}s",
+        "{0}",
+        gates=True,
+    ),
     "column": Kind(_column, _powers, "with ({0} - {2:g})^{1:g}", "(({0} - {2:g}) / {3:g})^{1:g}", (0, 0, 0.2, 0)),
     "over": Kind(
         lambda c, name, level: (np.nan_to_num(c.covariates[name], nan=-np.inf) > level).astype(float),
@@ -524,7 +533,7 @@ def axis_of(course: Form) -> str:
     if name in ("column", "over", "under"):
         return str(numbers[0])
     periods = {SIDEREAL: "lst", SOLAR: "utc", WEEK: 7, ROTATION: 27.3, LUNATION: 29.53}
-    by_name = {"working days": 7, "weekend": 7, "late": TEMPERATURE, "wet": RAIN, "always": "lst"}
+    by_name = {"working days": 7, "weekend": 7, "weekday": 7, "late": TEMPERATURE, "wet": RAIN, "always": "lst"}
     by_name |= dict.fromkeys(("sky", "contrast"), "lst")
     by_name |= dict.fromkeys(("hours", "day", "night", "sun", "high sun"), "utc")
     found = periods.get(numbers[0], "date") if name in ("wave", "near", SERIES) else by_name.get(name, "date")

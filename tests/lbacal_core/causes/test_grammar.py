@@ -360,3 +360,12 @@ def test_every_course_varies_along_an_axis_of_the_data(conditions):
     assert named <= known
     assert {"lst", "utc", "date", "date, period 7 d", "date, period 27.3 d", "temperature_c", "wind_m_s"} <= named
     assert axis_of((PRODUCT, ("wave", "week", 1, 0.0), ("night",))) == "date, period 7 d"
+
+
+def test_a_day_of_the_week_is_a_course(conditions):
+    at = np.array(
+        ["2014-05-04T23:59", "2014-05-05T00:01", "2014-05-05T23:59", "2014-05-06T00:01"], dtype="datetime64[s]"
+    )
+    week = replace(conditions, time_unix=at.astype(float))
+    assert course_of(week, ("weekday", "Monday")).tolist() == [0.0, 1.0, 1.0, 0.0]
+    assert in_words(sentence("sky", ("flat",), ("weekday", "Monday"))).endswith("on Mondays")

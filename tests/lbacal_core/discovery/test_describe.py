@@ -10,7 +10,14 @@ from lbacal_core.causes.catalogue import CAUSES, FORMAT, NamedSentence, catalogu
 from lbacal_core.causes.grammar import law_of, parts_of, sentence
 from lbacal_core.causes.model import Model
 from lbacal_core.discovery import describe
-from lbacal_core.discovery.describe import CERTAIN, Description, _amounts, _fit_likely, describe_structure
+from lbacal_core.discovery.describe import (
+    CERTAIN,
+    Description,
+    _amounts,
+    _fit_likely,
+    _without_idle,
+    describe_structure,
+)
 from lbacal_core.discovery.hypothesis import list_targets
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.refit import fit_chain
@@ -94,6 +101,22 @@ def test_a_single_event_is_put_into_no_course(clean, simulation):
     model = fit_chain(gather_stations(replace(clean, power=clean.power * burst), simulation)[0])
     structure = strongest_structure(model.linear, np.random.default_rng(0))
     assert describe_structure(model, structure, list_targets(model.station), Policy()) == Description()
+
+
+def describe_power(spectra, power, simulation):
+    """The likeliest sentence of what was done to the power, shape (row, freq)."""
+    model = fit_chain(gather_stations(replace(spectra, power=power), simulation)[0])
+    structure = strongest_structure(model.linear, np.random.default_rng(0))
+    return describe_structure(model, structure, list_targets(model.station), Policy()).sentences[0].hypothesis
+
+
+@pytest.mark.long
+def test_an_attenuator_on_one_day_of_the_week_is_said_so(clean, simulation):
+    """It was a Gaussian of 9 h, on working days, since a date: of another size."""
+    on = (clean.antenna == 3) & (clean.time_unix // 86400 % 7 == 4)  # 1970-01-01 was a Thursday
+    said = describe_power(clean, clean.power * np.where(on, 0.5, 1.0)[:, None], simulation)
+    assert (said.target.label, parts_of(said.template)[2]) == ("antenna 3", ("weekday", "Monday"))
+    assert said.size == pytest.approx(-0.5, abs=0.02)
 
 
 @pytest.mark.parametrize("factor", [0.5, 1.5])
