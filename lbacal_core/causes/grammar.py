@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from lbacal_core.causes.antenna import DipoleSwap
 from lbacal_core.causes.axes import DAY_S
 from lbacal_core.causes.cause import RAIN, SCOPES, TEMPERATURE, YEAR_S, Cause, Conditions, SizeRange, Template
 from lbacal_core.causes.sky import NO_DIRECTIONS, SOURCE_KEYS, PointSource, SolarEmission
@@ -760,6 +761,14 @@ PLACES: dict[str, Place] = {
         "P_sky -> P_sky (1 ± {0}), + in the first polarisation",
         "survey the azimuths of the arms, and follow the cable of each dipole to its receiver",
         needs_both=True,
+    ),
+    "letters": Place(
+        lambda terms, c, change: DipoleSwap().act(terms, c, Template(), change),
+        f"{DipoleSwap.meaning} ({DipoleSwap.unit})",
+        "P_X -> P_X + (P_Y - P_X) {0}",
+        DipoleSwap.confirm,
+        needs_both=True,
+        is_there=lambda c: bool(c.dipole_pairs),
     ),
     "time": Place(
         _move_in_time,

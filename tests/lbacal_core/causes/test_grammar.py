@@ -100,6 +100,7 @@ def test_a_place_acts_as_the_chain_written_out(conditions, terms):
         "converter": (sky + lna) * s + rcu + adc * (1 + u),
         "record": ((sky + lna) * s + rcu + adc) * (1 + u),
         "polarisation": (sky * (1 + u * sign) + lna) * s + rcu + adc,
+        "letters": (sky + u * (conditions.across(sky, ("X", "Y")) - sky) + lna) * s + rcu + adc,
         "time": (sky + u * rate + lna) * s + rcu + adc,
         "level": ((sky + lna) * s + rcu) * (1 + u * (total / total.mean(axis=1, keepdims=True) - 1)) + adc,
         "Sun": (sky + u * at_55 * conditions.sun_response + lna) * s + rcu + adc,

@@ -119,6 +119,20 @@ def test_an_attenuator_on_one_day_of_the_week_is_said_so(clean, simulation):
     assert said.size == pytest.approx(-0.5, abs=0.02)
 
 
+@pytest.mark.long
+def test_dipoles_that_are_exchanged_for_some_months_are_said_to_be(clean, simulation):
+    """The cause of the catalogue acts at all times: its size was the share of the year."""
+    during = (clean.antenna == 2) & (np.abs(clean.time_unix - 1402000000.0) < 45 * 86400.0)
+    partner = {
+        (e, a, d): k for k, (e, a, d) in enumerate(zip(clean.event_id, clean.antenna, clean.dipole, strict=True))
+    }
+    other = [partner[e, a, "Y" if d == "X" else "X"] for e, a, d in partner]
+    said = describe_power(clean, np.where(during[:, None], clean.power[other], clean.power), simulation)
+    place, _, course = parts_of(said.template)
+    assert (said.target.label, place, course[0]) == ("antenna 2", "letters", "between")
+    assert said.size == pytest.approx(1.0, abs=0.1)
+
+
 @pytest.mark.parametrize("factor", [0.5, 1.5])
 def test_the_size_of_a_curve_that_is_estimated_has_the_sign_of_the_change(factor, clean, simulation):
     """Half of the power for two months was said as +0.498, along a curve of -0.99 P0."""
