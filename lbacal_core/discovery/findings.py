@@ -500,6 +500,7 @@ def _finding(
 ) -> Finding:
     """A finding by the last fitted model and the one without it, so that all its numbers are of one model."""
     hypothesis, score = last.hypotheses[number], named.score
+    instead = [(one, refit(without, one)) for one in named.sentences]
     chi2_before, chi2_after, dof = chi_squared_of(without, last)
     return Finding(
         hypothesis=hypothesis,
@@ -512,7 +513,7 @@ def _finding(
         calibration_change=change_of_c(without, last, hypothesis.target),
         over_noise=average_size(last, number),
         rivals=named.rivals,
-        sentences=named.sentences,
+        sentences=[one if model is None else model.hypotheses[-1] for one, model in instead],
     )
 
 

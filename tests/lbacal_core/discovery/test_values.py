@@ -1,5 +1,6 @@
 """Numbers and small decisions of a search, each asked by itself: what a whole search would show in a minute."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -95,8 +96,11 @@ def test_a_finding_is_told_by_its_own_hypothesis(monkeypatch):
     rivals = (Rival("gain_drift", "station", 4.0),)
     sentences = (hypotheses[0], hypotheses[2])
     named = SimpleNamespace(score=None, rivals=rivals, sentences=sentences)
+    beside = SimpleNamespace(hypotheses=[replace(sentences[0], size=-0.08)])
+    monkeypatch.setattr(findings, "refit", lambda _, one: beside if one is sentences[0] else None)
     found = findings._finding(without, last, 1, named, search)
-    assert (found.rivals, found.sentences) == (rivals, sentences)
+    assert found.rivals == rivals
+    assert found.sentences == [beside.hypotheses[0], sentences[1]], "fitted beside what else stands"
     assert (found.chi2_before, found.chi2_after, found.dof) == (3.0, 2.0, 1)
     assert (found.hypothesis, found.over_noise, found.held_out_gain) == (hypotheses[1], 1, 5.0)
     assert all(hypotheses[1] in a or STATION in a for _, a in asked)
