@@ -338,29 +338,41 @@ class LinearModel:
         The level of the sky, which the means tell no better than its prior, stays free in them.
         """
         slope, constants = self._free_vectors
-        level = np.empty((0, *slope.shape)) if self.modes is None else self.modes.common * self._contrast
         return [
             self._path_view(
                 slope[c],
                 constants[:, c],
                 self.weight[members],
                 members,
-                level[:, c],
+                self._level[:, c],
                 self.residuals.levels.path_shared[:, c],
             )
             for c, members in enumerate(self.members)
         ]
 
     @cached_property
+    def _level(self) -> Floats:
+        """What the level of the sky does to the deviations, one prior sigma each, shape (mode, class, event, freq)."""
+        common = np.empty((0, 1, 1, 1)) if self.modes is None else self.modes.common
+        return np.asarray(common * self._contrast)
+
+    @cached_property
     def lost(self) -> list[View]:
-        """The mean path of each polarisation with the mean weights: deviations lose its information with their mean."""
+        """The mean path of each polarisation with the mean weights: deviations lose its information with their mean.
+
+        The level of the sky is as free in it as in the paths on average: beside an effect that moves the share of the
+        sky in one class of paths, deviations would lose more information on it than they have.
+        """
         slope, constants = self._mean_free_vectors
         polarisation, in_mean = self.polarisation_of[self.station.class_of], self.residuals.in_mean
         weights = [self.weight[in_mean & (polarisation == d)].mean(axis=0) for d in range(len(slope))]
-        nobody, level = np.empty(0, dtype=np.int64), np.empty((0, *slope.shape[1:]))
+        share = self.share_of_mean(np.ones(len(in_mean), dtype=bool))[:, None, None]
+        nobody, level = np.empty(0, dtype=np.int64), self._level * np.sqrt(share)
+        levels = [level[:, self.polarisation_of == d].reshape(-1, *slope.shape[1:]) for d in range(len(slope))]
         shared = self.residuals.levels.mean_path_shared
         return [
-            self._path_view(slope[d], constants[:, d], w[None], nobody, level, shared) for d, w in enumerate(weights)
+            self._path_view(slope[d], constants[:, d], w[None], nobody, levels[d], shared)
+            for d, w in enumerate(weights)
         ]
 
     def _path_view(
