@@ -15,7 +15,7 @@ from itertools import pairwise, product
 import numpy as np
 
 from lbacal_core.causes.cause import TEMPERATURE, Conditions, Template, signature
-from lbacal_core.causes.grammar import PLACES, list_courses, list_laws, parts_of, rough_laws
+from lbacal_core.causes.grammar import PLACES, list_courses, list_laws, parts_of, rough_laws, sentence
 from lbacal_core.discovery.findings import gain_in_chi_squared
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
 from lbacal_core.discovery.policy import Policy
@@ -29,6 +29,7 @@ from lbacal_core.discovery.sentences import (
     ScoredSentence,
     best_of_families,
     estimate_sentence,
+    gated,
     likeliest_sentences,
     list_ripples,
     places_of,
@@ -36,6 +37,7 @@ from lbacal_core.discovery.sentences import (
     score_gated,
     score_sentences,
     vary_sentence,
+    with_one_gate_less,
 )
 from lbacal_core.grids import Floats
 
@@ -150,7 +152,8 @@ def describe_structure(
     seen += [also] if also is not None and all(one.label != also.label for one in seen) else []
     if not seen:
         return Description()
-    likely = _search(model.linear, seen, targets, said)
+    likely = [_without_idle(model, one, len(targets)) for one in _search(model.linear, seen, targets, said)]
+    likely = _best_of_places(best_of_families(likely))
     order = sorted(_fit_likely(model, likely), key=lambda one: -one[0].log_odds)
     certain = [one for one, _ in order if one.log_odds > CERTAIN and one.held_out_gain > 0.0]
     if not certain:
@@ -213,7 +216,8 @@ def _search(
 
 def _count_events(conditions: Conditions, template: Template) -> float:
     """Number of events on which a sentence acts: of the squares of its course the squared sum over that of squares."""
-    square = SENTENCE.time_profile(conditions, template) ** 2
+    course = SENTENCE.time_profile(conditions, template)
+    square = (course / np.abs(course).max()) ** 2
     return float(np.sum(square) ** 2 / np.sum(square**2))
 
 
@@ -223,6 +227,21 @@ def _best_of_places(sentences: Sequence[ScoredSentence]) -> list[ScoredSentence]
     for one in sentences:
         best.setdefault((one.target.label, parts_of(one.template)[0]), one)
     return list(best.values())
+
+
+def _without_idle(model: FittedModel, one: ScoredSentence, choices: int) -> ScoredSentence:
+    """The sentence without a condition that gains nothing on unseen events, the condition chosen again for each fold.
+
+    Where an effect differs from event to event, as bursts do, the best of many conditions keeps a few large events.
+    """
+    conditions, (place, law, course) = model.station.conditions, parts_of(one.template)
+    for less in with_one_gate_less(course):
+        with_it = [sentence(place, law, own) for own in gated(conditions, less)]
+        plain = sentence(place, law, less)
+        if held_out_gain(model, one.hypothesis, with_it) <= held_out_gain(model, one.hypothesis, [plain]):
+            (scored,) = score_sentences(model.linear, [one.target], [(place, law)], [less], choices)
+            return _without_idle(model, refine_sentence(model.linear, scored), choices)
+    return one
 
 
 def _fit_likely(before: FittedModel, likely: Sequence[ScoredSentence]) -> list[tuple[Described, FittedModel]]:

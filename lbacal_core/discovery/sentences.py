@@ -153,8 +153,7 @@ def score_gated(
 ) -> list[ScoredSentence]:
     """The best of a sentence, and of its products with courses that say when it acts."""
     place, law, course = parts_of(one.template)
-    gates = _gates(model.station.conditions)
-    together = [course, *(multiply(course, gate) for gate in gates)]
+    together = [course, *gated(model.station.conditions, course)]
     return score_sentences(model, targets, [(place, law)], list(dict.fromkeys(together)), choices)
 
 
@@ -229,9 +228,9 @@ def vary_sentence(model: LinearModel, one: ScoredSentence, choices: int) -> list
     conditions = model.station.conditions
     spectra = [(place, other) for other in list_laws(conditions)]
     spectra += [(name, law) for name in places_of(one.target, conditions) if PLACES[name].moves == PLACES[place].moves]
-    courses, gates = list_courses(conditions), _gates(conditions)
+    courses = list_courses(conditions)
     factors = course[1:] if course[0] == PRODUCT else (course,)
-    every = [*courses, *factors, *(multiply(own, gate) for own in factors for gate in gates)]
+    every = [*courses, *factors, *(both for own in factors for both in gated(conditions, own))]
     every += [multiply(other, factors[1]) for other in courses] if course[0] == PRODUCT else []
     found = score_sentences(model, [one.target], spectra, [course], choices)
     return found + score_sentences(model, [one.target], [(place, law)], list(dict.fromkeys(every)), choices)
@@ -248,6 +247,18 @@ def multiply(one: Form, other: Form) -> Form:
     if one == ("always",):
         return other
     return one if names_in(one) == names_in(other) else (PRODUCT, one, other)
+
+
+def gated(conditions: Conditions, course: Form) -> list[Form]:
+    """A course times each of those that say when it acts."""
+    return [multiply(course, gate) for gate in _gates(conditions)]
+
+
+def with_one_gate_less(course: Form) -> list[Form]:
+    """A product without one of those that say when its first factor acts."""
+    if course[0] != PRODUCT:
+        return []
+    return [course[1], *(multiply(less, course[2]) for less in with_one_gate_less(course[1]))]
 
 
 def _gates(conditions: Conditions) -> list[Form]:

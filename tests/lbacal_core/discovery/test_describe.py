@@ -24,7 +24,7 @@ from lbacal_core.discovery.refit import fit_chain
 from lbacal_core.discovery.report import _said, investigate
 from lbacal_core.discovery.residual_structure import find_structure, strongest_structure
 from lbacal_core.discovery.search import search_station
-from lbacal_core.discovery.sentences import ScoredSentence, estimate_sentence, likeliest_sentences
+from lbacal_core.discovery.sentences import ScoredSentence, estimate_sentence, likeliest_sentences, score_gated
 from lbacal_core.discovery.station import gather_stations
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.composed import Composed
@@ -131,6 +131,23 @@ def test_dipoles_that_are_exchanged_for_some_months_are_said_to_be(clean, simula
     place, _, course = parts_of(said.template)
     assert (said.target.label, place, course[0]) == ("antenna 2", "letters", "between")
     assert said.size == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize("is_real", [False, True])
+def test_a_condition_that_a_few_bursts_meet_by_chance_is_not_said(is_real, clean, simulation):
+    """Bursts in a quarter of the events by day were those near a day of the lunation on working days, four of 27."""
+    rng, events = np.random.default_rng(1), np.unique(clean.event_id, return_index=True)
+    week, hours = clean.time_unix[events[1]] // 86400 % 7, clean.time_unix[events[1]] / 3600.0 % 24.0
+    size = 0.1 * ~np.isin(week, (2, 3)) if is_real else 0.4 * (rng.uniform(size=week.size) < 0.25)
+    burst = dict(zip(events[0], size * ((hours > 7.5) & (hours < 16.5)), strict=True))
+    change = np.array([burst[one] for one in clean.event_id])[:, None] * clean.frequency_mhz[0] / clean.frequency_mhz
+    model = fit_chain(gather_stations(replace(clean, power=clean.power * (1.0 + change)), simulation)[0])
+    target = list_targets(model.station)[-1]
+    plain = ScoredSentence(sentence("sky", ("power", -1.0, 30.0), ("hours", 7.5, 9.0)), target, 1.0, 1.0, 0.0)
+    best = max(score_gated(model.linear, [target], plain), key=lambda one: one.gain)
+    assert parts_of(best.template)[2][0] == "product", "by its score it has one"
+    kept = parts_of(_without_idle(model, best, 1).template)[2]
+    assert (kept[0] == "product") == is_real
 
 
 @pytest.mark.parametrize("factor", [0.5, 1.5])
