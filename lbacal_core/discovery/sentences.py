@@ -200,7 +200,20 @@ def refine_sentence(model: LinearModel, one: ScoredSentence) -> ScoredSentence:
         turned = opposite(one.template) if one.size < 0.0 else None
         if turned is not None:
             (one,) = _score_alike(model, one, [turned])
-    return _score_exactly(model, one)
+    return _score_exactly(model, _round_delay(model, one))
+
+
+def _round_delay(model: LinearModel, one: ScoredSentence) -> ScoredSentence:
+    """The same with a delay rounded at the first digit of its error, the hours in which its chi^2 rises by 1."""
+    place, law, course = parts_of(one.template)
+    if course[0] != "late":
+        return one
+    beside = [sentence(place, law, ("late", course[1] + hours)) for hours in (-1.0, 0.0, 1.0)]
+    earlier, there, later = (tried.z**2 for tried in _score_alike(model, one, beside))
+    if 2.0 * there <= earlier + later:
+        return one
+    error = (there - 0.5 * (earlier + later)) ** -0.5
+    return replace(one, template=sentence(place, law, ("late", round(course[1], -int(np.floor(np.log10(error)))))))
 
 
 def _score_exactly(model: LinearModel, one: ScoredSentence) -> ScoredSentence:

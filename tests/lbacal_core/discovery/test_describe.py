@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from lbacal_core.causes.catalogue import CAUSES, FORMAT, NamedSentence, catalogue_with
-from lbacal_core.causes.grammar import law_of, parts_of, sentence
+from lbacal_core.causes.grammar import course_of, law_of, parts_of, sentence
 from lbacal_core.causes.model import Model
-from lbacal_core.discovery import describe
+from lbacal_core.discovery import describe, sentences
 from lbacal_core.discovery.describe import (
     CERTAIN,
     Description,
     _amounts,
+    _count_events,
     _fit_likely,
     _without_idle,
     describe_structure,
@@ -320,3 +321,28 @@ def test_a_ripple_that_starts_on_a_date_was_named_a_wide_resonance_that_follows_
     assert first["target"] == "antenna 1"
     assert [first["parameters"][part][0] for part in ("law", "course")] == ["ripple", "step"]
     assert abs(first["size"]["value"]) == pytest.approx(0.03, abs=5 * first["size"]["sigma"])
+
+
+def test_a_delay_has_the_digits_that_the_data_support(monkeypatch):
+    """It was given to the steps of its grid, 8.875 h, where a delay of 8.3 h was as likely."""
+    late = ScoredSentence(sentence("behind", ("flat",), ("late", 8.875)), None, 1.0, 1.0, 0.0)
+
+    def score_with(error):
+        def score(_, one, templates):
+            delays = [parts_of(template)[2][1] for template in templates]
+            return [replace(one, z=(900.0 - ((hours - 8.875) / error) ** 2) ** 0.5) for hours in delays]
+
+        return score
+
+    for error, told in ((0.6, 8.9), (2.0, 9.0), (0.05, 8.88)):
+        monkeypatch.setattr(sentences, "_score_alike", score_with(error))
+        assert parts_of(sentences._round_delay(None, late).template)[2] == ("late", told)
+
+
+def test_the_number_of_events_on_which_a_course_hardly_acts_is_one(station):
+    """A product of two that nearly exclude each other: the squares of its squares were 0, and their ratio no number."""
+    conditions = station.conditions
+    at = ("near", "UTC", float(conditions.time_unix[0] / 86400 % 1), 0.001)
+    far = ("product", at, ("near", "UTC", float((conditions.time_unix[0] / 86400 + 0.03) % 1), 0.001))
+    assert course_of(conditions, far).max() < 1e-90
+    assert _count_events(conditions, sentence("sky", ("flat",), far)) >= 1.0
