@@ -52,7 +52,7 @@ PLACES = {
     "cable_temperature": ("front",),
     "compression": ("level", "behind"),
     "dipole_azimuth": ("polarisation", "sky"),
-    "dipole_swap": ("polarisation", "sky"),
+    "dipole_swap": ("letters", "polarisation", "sky"),
     "filter_shift": ("behind",),
     "gain_drift": ("front",),
     "gain_step": ("front",),

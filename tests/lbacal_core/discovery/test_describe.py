@@ -286,7 +286,7 @@ def test_what_the_test_along_axes_is_too_wide_for_is_said_by_a_sentence(spoil, c
 @pytest.mark.parametrize(
     ("fault", "without", "place"),
     [
-        (DipoleSwap(size=0.15), "dipole_swap", "polarisation"),
+        (DipoleSwap(size=0.15), "dipole_swap", "letters"),
         (LstOffset(size=0.2), "lst_offset", "time"),
         (Compression(size=0.3), "compression", "level"),
     ],
