@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from lbacal_core.calibration.fit import fit_calibration
-from lbacal_core.discovery.baseline import SMALLEST_SHARE, leave_out_deaf, sky_shares
+from lbacal_core.calibration.singles import SMALLEST_SHARE
+from lbacal_core.discovery.baseline import leave_out_deaf, sky_shares
 from lbacal_core.discovery.report import investigate
 from lbacal_core.discovery.station import gather_stations
 from lbacal_core.errors import BadInputError
