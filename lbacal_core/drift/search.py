@@ -9,6 +9,10 @@ medians in which others still stepped. Medians are taken again of what the model
 small group does not appear in the others; for the same reason a round adds nothing that the best of its group could
 cause. A step has a date to choose, a slope has none: one is preferred to the other by the mean over the dates.
 
+Steps of many series are noise that lasts, in which none of them stands out. Where anything lasts, the search begins
+once more with what stands out in white noise. That counts if it explains more, by the threshold, than the noise does,
+with the medians as they settled before and after.
+
 A score is the sum of squares of the scores of the modes, made uncorrelated: chi-square with one degree a mode. The
 threshold is that of the number of series times months, so that `FALSE_ALARMS` are expected in all of them together.
 """
@@ -143,7 +147,6 @@ def search_series(series: Series, known_unix: Floats | None = None, false_alarms
     search = _Search(series, known_unix, false_alarms)
     search.fit()  # before it, the season counts as noise of events
     found, terms, errors = search.run(), search.terms, search.errors.copy()
-    # the steps of many series are noise that lasts, in which none of them stands out
     if not any(one.variance for one in search.lasting) or not search.add_to_white_noise():
         return found
     of_white = search.terms, search.errors.copy()
