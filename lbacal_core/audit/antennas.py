@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -399,17 +400,29 @@ DATE_SIGMA, TINY = 3.0, 1e-12
 """Standard deviations by which instants before and after a date are told to lie on the wrong side of it."""
 
 
+class Edge(NamedTuple):
+    """When a part of the time begins or ends, and between which instants, s UTC."""
+
+    at: float
+    first: float
+    last: float
+
+    def __str__(self) -> str:
+        """Write between which instants it lies."""
+        first, last = (f"{datetime.fromtimestamp(at, UTC):%Y-%m-%d %H:%M}" for at in self[1:])
+        return f"a date between {first} and {last} UTC"
+
+
 @dataclass(frozen=True)
 class ExchangedPart:
-    """Log odds that the dipoles of an antenna, by its row, are exchanged since or until a date, s UTC.
+    """Log odds that the dipoles of an antenna, by its row, are exchanged since a date, until one, or between two.
 
-    They are those of the less certain of the two parts; the date lies `between_unix`.
+    They are those of the less certain of the two parts of the time.
     """
 
     row: int
-    at_unix: float
-    between_unix: tuple[float, float]
-    is_since: bool
+    since: Edge | None
+    until: Edge | None
     odds: float
 
 
@@ -437,7 +450,9 @@ class ExchangeOdds:
 
     def flipped(self) -> ExchangeOdds:
         """Reverse the odds, for a station of which most antennas are exchanged."""
-        dated = [replace(one, is_since=not one.is_since) for one in self.dated]
+        dated = [
+            one if one.since and one.until else replace(one, since=one.until, until=one.since) for one in self.dated
+        ]
         return ExchangeOdds(self.rows, -self.odds, dated)
 
 
@@ -488,18 +503,18 @@ def tell_exchanged(station: AuditedStation, exchange: ExchangeOdds) -> list[Line
 
 def _tell_dated(station: AuditedStation, one: ExchangedPart) -> Line:
     """The exchange of an antenna in a part of the time."""
-    first, last = (f"{datetime.fromtimestamp(at, UTC):%Y-%m-%d %H:%M}" for at in one.between_unix)
-    antenna, word = int(station.antennas[one.row]), "since" if one.is_since else "until"
+    antenna, edges = int(station.antennas[one.row]), (("since", one.since), ("until", one.until))
+    when = " and ".join(f"{word} {edge}" for word, edge in edges if edge is not None)
     return Line(
         "exchange",
         WRONG,
         station.name,
-        f"X and Y are exchanged at antenna {antenna} {word} a date between {first} and {last} UTC",
+        f"X and Y are exchanged at antenna {antenna} {when}",
         antennas=(antenna,),
         log_odds=one.odds,
         kind="exchange",
-        since_unix=one.at_unix if one.is_since else None,
-        until_unix=None if one.is_since else one.at_unix,
+        since_unix=None if one.since is None else one.since.at,
+        until_unix=None if one.until is None else one.until.at,
     )
 
 
@@ -540,6 +555,8 @@ def _find_common_change(ratio: Floats) -> CommonChange | None:
     if strengths[0] < ABOVE_NOISE * noise * (own.shape[0] ** 0.5 + own.shape[1] ** 0.5):
         return None
     along = whole @ changes[0]
+    changes[0] *= np.sign(np.median(along)) or 1.0  # as most antennas see it
+    along = whole @ changes[0]
     typical = float(np.median(np.abs(along)))
     slope = along / typical
     likeness = max(SMALLEST_SLOPE_ERROR, float(spread(np.abs(slope))))
@@ -551,7 +568,8 @@ def _find_dated(rows: NDArray[np.int64], ratio: Floats, common: CommonChange, ti
     """Antennas that run with the common change before a date and against it after, or the other way round.
 
     Each has a level and a slope before and after every instant; the date is where they leave the least. A slope says
-    less where the common change is small in one of the parts.
+    less where the common change is small in one of the parts. One that runs against it for a spell, and with it before
+    and after, is exchanged between two dates: there the sum of its products with the change falls most.
     """
     found = []
     for row, values in zip(rows, ratio, strict=True):
@@ -559,23 +577,44 @@ def _find_dated(rows: NDArray[np.int64], ratio: Floats, common: CommonChange, ti
         splits = np.arange(FEWEST_BESIDE, known.size - FEWEST_BESIDE + 1)
         if splits.size == 0:
             continue
-        seen, own = common.change[known], values[known]
+        seen, own, when = common.change[known], values[known], time[known]
         before, after = _fit_lines(seen, own)[:, splits - 1], _fit_lines(seen[::-1], own[::-1])[:, -splits - 1]
         left = before[2] + after[2]
         k = int(np.argmin(left))
-        variance = max(left[k], 0.0) / known.size
-        slope, power, _ = np.stack([before[:, k], after[:, k]], axis=-1)
-        count = np.array([splits[k], known.size - splits[k]])
-        error = np.sqrt((common.likeness**2 * np.var(seen) * count + variance) / np.maximum(power, TINY))
-        odds = -2.0 * slope / error**2
-        is_sure = np.abs(odds) > CERTAIN + np.log(splits.size)
-        if odds.prod() > 0 or not np.all(is_sure & (np.abs(np.abs(slope) - 1.0) < FITS_SIGMA * error)):
+        odds, variance = _odds_of_parts(common, seen, own, np.arange(known.size) >= splits[k])
+        if odds.prod() < 0 and np.abs(odds).min() > CERTAIN + np.log(splits.size):
+            edge = _edge(when, splits[k], splits[left - left[k] <= DATE_SIGMA**2 * variance])
+            since, until = (edge, None) if odds[1] > 0 else (None, edge)
+            found.append(ExchangedPart(int(row), since, until, float(np.abs(odds).min())))
             continue
-        near = splits[left - left[k] <= DATE_SIGMA**2 * variance]
-        last, first, earliest, latest = time[known[[splits[k] - 1, splits[k], near[0] - 1, near[-1]]]].tolist()
-        is_since, least = bool(odds[1] > 0), float(np.abs(odds).min())
-        found.append(ExchangedPart(int(row), (last + first) / 2, (earliest, latest), is_since, least))
+        walk = np.append(0.0, np.cumsum(seen * np.median(own) - seen * own))
+        end = int(np.argmax(walk - np.minimum.accumulate(walk)))
+        begin = int(np.argmin(walk[: end + 1]))
+        if min(begin, end - begin, known.size - end) < FEWEST_BESIDE:
+            continue
+        at = np.arange(known.size)
+        odds, variance = _odds_of_parts(common, seen, own, (at >= begin) & (at < end))
+        if odds[0] < 0 < odds[1] and np.abs(odds).min() > CERTAIN + 2.0 * np.log(splits.size):
+            reach, inner = 0.5 * DATE_SIGMA**2 * variance, np.arange(1, known.size)
+            since = _edge(when, begin, inner[(inner < end) & (walk[inner] - walk[begin] <= reach)])
+            until = _edge(when, end, inner[(inner > begin) & (walk[end] - walk[inner] <= reach)])
+            found.append(ExchangedPart(int(row), since, until, float(np.abs(odds).min())))
     return found
+
+
+def _odds_of_parts(common: CommonChange, seen: Floats, own: Floats, is_in: NDArray[np.bool_]) -> tuple[Floats, float]:
+    """Log odds of an exchange out of a part of the time and in it, 0 where neither follows; and what lines leave."""
+    slope, power, left = np.stack([_fit_lines(seen[part], own[part])[:, -1] for part in (~is_in, is_in)], axis=-1)
+    count, variance = np.array([np.sum(~is_in), np.sum(is_in)]), max(float(left.sum()), 0.0) / own.size
+    error = np.sqrt((common.likeness**2 * np.var(seen) * count + variance) / np.maximum(power, TINY))
+    follows = np.all(np.abs(np.abs(slope) - 1.0) < FITS_SIGMA * error)
+    return np.where(follows, -2.0 * slope / error**2, 0.0), variance
+
+
+def _edge(when: Floats, at: int, near: NDArray[np.int64]) -> Edge:
+    """The edge before an instant, by its number, and those before others that it may be as well."""
+    last, first, earliest, latest = when[[at - 1, at, near[0] - 1, near[-1]]].tolist()
+    return Edge((last + first) / 2, earliest, latest)
 
 
 def _fit_lines(x: Floats, y: Floats) -> Floats:

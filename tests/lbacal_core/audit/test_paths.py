@@ -105,6 +105,23 @@ def test_letters_exchanged_from_a_date_on_are_told_with_the_date(station, is_sin
     assert np.array_equal(line.is_during(station.time_unix), (np.arange(HOURS) >= split) == is_since)
 
 
+def test_letters_exchanged_for_a_spell_are_told_with_both_dates(station):
+    """For thirty days of a year an antenna was exchanged, and nothing was wrong."""
+    long = replace(
+        station, power=np.tile(station.power, (1, 1, 4, 1)), lst_hours=np.tile(station.lst_hours, 4),
+        time_unix=np.concatenate([station.time_unix + 86_400.0 * day for day in range(4)]),
+    )  # fmt: skip
+    power = long.power * np.exp(0.03 * np.random.default_rng(2).standard_normal((*long.power.shape[:3], 1)))
+    assert compare_polarisations(replace(long, power=power), EVERYBODY).dated == []
+    power[3, :, 30:44] = power[3, ::-1, 30:44]
+    changed = replace(long, power=power)
+    letters = compare_polarisations(changed, EVERYBODY)
+    (line,) = [line for line in tell_exchanged(changed, letters) if line.antennas == (3,)]
+    assert line.verdict == "wrong"
+    assert line.sentence.count("a date between 2014-05-") == 2
+    assert np.sum(line.is_during(long.time_unix) != (np.abs(np.arange(96) - 36.5) < 7)) <= 6
+
+
 def test_lines_through_the_first_values_are_those_of_least_squares():
     x, y = np.random.default_rng(3).normal(size=(2, 9))
     found = _fit_lines(x, y)
