@@ -190,7 +190,6 @@ class _Search(SeriesModel):
         """Tell what noise and terms cost when both and the medians are settled."""
         self.begin(terms, errors)
         for _ in range(SETTLING_ROUNDS):
-            self._renew(np.ones_like(self.was_settled))
             self.fit()
         return self.total_cost()
 

@@ -93,7 +93,8 @@ class Promotions:
             act = stores.ledger.act_of(number)
             if not act:
                 raise NotFoundError(f"no promotion {number}; GET /v1/calibrations/effective names those that answer")
-            undoes, (undone, after) = act[0].at, (stores.ledger.undone(*also) for also in ((), (act[0].at,)))
+            undoes = act[0].at
+            undone, after = stores.ledger.undone(), stores.ledger.undone(undoes)
             while act[0].undoes is not None:  # undone itself, it brings back what it undid
                 act = stores.ledger.act_at(act[0].undoes)
             since = min(p.valid_from for p in act)
