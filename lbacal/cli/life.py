@@ -68,7 +68,7 @@ def enter(
     sigma_days: Annotated[float, typer.Option(help="Standard deviation of that instant, days.", min=0.0)] = 0.0,
     kind: Annotated[str, typer.Option(help="step, ramp or season.")] = "step",
     size: Annotated[float | None, typer.Option(help="Change of C (ramp: a year), a fraction.")] = None,
-    size_sigma: Annotated[float | None, typer.Option(help="Its error.", min=0.0)] = None,
+    size_sigma: Annotated[float | None, typer.Option(help="Its error; a ramp or season needs one.", min=0.0)] = None,
     as_json: Json = False,
 ) -> None:
     """Enter what is known to have changed, of a path, an antenna or a station, or put it right; in force at once.
@@ -78,6 +78,8 @@ def enter(
     entry: dict[str, Any] = {"at": {"value": at, "sigma_days": sigma_days}, "kind": kind, "reason": reason}
     if size is None and size_sigma is not None:
         raise BadInputError("--size-sigma", "--size beside it", "none")
+    if kind != "step" and size is not None and not size_sigma:
+        raise BadInputError("--size-sigma", f"the error of the size, which C that follows the {kind} has, too", "none")
     if antenna is None and dipole is not None:
         raise BadInputError("--dipole", "--antenna beside it", "none")
     entry |= {} if size is None else {"size": {"value": size, "sigma": size_sigma or 0.0}}
@@ -100,6 +102,8 @@ def print_change(one: dict[str, Any]) -> None:
     print(f"{one['id']} {who}, {one['kind']} at {date}{size} ({tell_state(one)}{'; found by ' + by if by else ''})")
     if one["reason"] != f"found by {one['by']}":
         print(f"  {one['by']}: {one['reason']}")
+    for doubt in one["doubts"]:
+        print(f"  but {doubt}")
 
 
 def life(

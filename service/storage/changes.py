@@ -233,6 +233,7 @@ class KeptChange:
     """A change on record with its evidence and the decisions about it, oldest first.
 
     `is_refitted`: no version that was fitted over a date at which it cuts windows answers on both sides of it.
+    `doubts`: what spectra, or others on record, say against it (`service.usecases.doubts`).
     """
 
     number: int
@@ -241,11 +242,17 @@ class KeptChange:
     evidence: tuple[Evidence, ...]
     decisions: tuple[Decision, ...] = ()
     is_refitted: bool = True
+    doubts: tuple[str, ...] = ()
 
     @property
     def said(self) -> Decision | None:
         """The last decision."""
         return self.decisions[-1] if self.decisions else None
+
+    @property
+    def is_spoken_of(self) -> bool:
+        """Whether a person says so."""
+        return any(one.source == PERSON and one.ended is None for one in self.evidence)
 
     @property
     def ended(self) -> Instant | None:

@@ -35,6 +35,7 @@ from service.storage.database import Database, Stores
 from service.storage.models import Investigation
 from service.storage.versions import Version
 from service.usecases.calibrations import find_slow, follow_through, group_by_antenna, select_paths
+from service.usecases.doubts import find_doubts
 from service.usecases.drift import year_of
 from service.usecases.gate import Gate, compare_curves
 from service.usecases.promotions import Change as ChangeOfC
@@ -54,10 +55,11 @@ RIVAL_ODDS = 0.01
 WORDS = {IN_FORCE: "in force", DISMISSED: "dismissed"}
 
 
-def mark_refitted(stores: Stores, changes: Sequence[KeptChange], dipoles: Collection[str]) -> list[KeptChange]:
-    """Changes with whether they are refitted: one whose antennas have versions in effect may not be.
+def mark_changes(stores: Stores, changes: Sequence[KeptChange], dipoles: Collection[str]) -> list[KeptChange]:
+    """All changes of a station, or of all, with whether they are refitted, and what speaks against them.
 
-    A version of before or after it that a person put into effect over it is no fit that is missing.
+    One whose antennas have versions in effect may not be refitted. A version of before or after it that a person put
+    into effect over it is no fit that is missing.
     """
     asked = {
         (one.number, (Scope(cut.station, cut.antenna, None if cut.antenna is None else dipole), cut.date))
@@ -66,7 +68,10 @@ def mark_refitted(stores: Stores, changes: Sequence[KeptChange], dipoles: Collec
     bridging = stores.ledger.bridging(place for _, place in asked)
     versions = stores.versions.get_many(bridging.values())
     waiting = {number for number, place in asked if place in bridging and versions[bridging[place]].is_over(place[1])}
-    return [replace(one, is_refitted=one.number not in waiting) for one in changes]
+    report = stores.drift.report() if any(one.is_spoken_of for one in changes) else None
+    return [
+        replace(one, is_refitted=one.number not in waiting, doubts=find_doubts(one, changes, report)) for one in changes
+    ]
 
 
 def propose(
@@ -112,7 +117,7 @@ class Changes:
     def list_all(self, station: str | None = None) -> list[KeptChange]:
         """All changes on record, of all stations or of one."""
         with self.database.read() as stores:
-            return mark_refitted(stores, stores.changes.kept(station), self.instrument.dipoles)
+            return mark_changes(stores, stores.changes.kept(station), self.instrument.dipoles)
 
     def enter(self, body: ChangeBody, by: str) -> KeptChange:
         """Put on record and into force what a person knows: of a change that was found, or of a new one."""
@@ -121,14 +126,18 @@ class Changes:
             stores.changes.note(change, Evidence(PERSON, by, None, now))
             same = [one.number for one in stores.changes.kept(change.station) if one.change.is_same(change)]
             decided = [stores.changes.decide(one, Decision(IN_FORCE, now, by, body.reason)) for one in same]
-            return mark_refitted(stores, decided, self.instrument.dipoles)[0]
+            return self._mark(stores, decided[0])
 
     def decide(self, number: int, body: DecisionBody, by: str) -> KeptChange:
         """Put a change in force, or dismiss it, whatever its sources say."""
         with self.database.write() as stores:
             kept = _require_open(stores.changes.get(number), body.decision)
             decided = stores.changes.decide(kept.number, Decision(body.decision, self.clock(), by, body.reason))
-            return mark_refitted(stores, [decided], self.instrument.dipoles)[0]
+            return self._mark(stores, decided)
+
+    def _mark(self, stores: Stores, kept: KeptChange) -> KeptChange:
+        every = mark_changes(stores, stores.changes.kept(kept.change.station), self.instrument.dipoles)
+        return next(one for one in every if one.number == kept.number)
 
     def foresee(self, number: int, body: DecisionBody, by: str) -> tuple[KeptChange, list[ChangeOfC], dict[str, str]]:
         """The change as it would be decided, and what that does to the curves of its paths, by fits of the year.
@@ -213,7 +222,8 @@ class Changes:
         date = parse_instant("body.at.value", body.at.value)
         first, last = span_of_record(self.clock() / SECOND_US)
         if not first <= date / SECOND_US <= last:
-            raise BadInputError("body.at.value", "an instant from 2009 until now, as of spectra", body.at.value)
+            expected = "an instant from 2009 until now, as of spectra; what comes is entered then"
+            raise BadInputError("body.at.value", expected, body.at.value)
         return Change(station, tuple(dict.fromkeys(paths)), body.kind, date, round(body.at.sigma_days * DAY_US), *size)
 
 

@@ -386,15 +386,21 @@ def _take_out(whole: FittedCauses, wanted: Wanted, neighbours: Neighbours) -> Fi
 
     def take_out(spectra: Spectra) -> Floats:
         power = spectra.power.copy()
+        last: dict[tuple[Any, ...], Cut] = {}  # of ramps and seasons, the last of a kind counts
         for one in wanted.taken_out:
+            kind = one.antenna is None, one.date if one.slow is None else one.slow.is_season
             for dipole in one.dipoles or np.unique(spectra.dipole).tolist():
                 of_dipole = (spectra.station == one.station) & (spectra.dipole == dipole)
                 every = np.unique(spectra.antenna[of_dipole]).tolist()
-                for antenna in every if one.antenna is None else [one.antenna]:
-                    rows = of_dipole & (spectra.antenna == antenna)
-                    behind, _ = neighbours.behind.get((one.station, antenna, dipole), (np.zeros(power.shape[1]), ""))
-                    signal = np.maximum(power[rows] - behind, 0.0)
-                    power[rows] += signal * np.expm1(-one.log_power(spectra.time_unix[rows], modes))
+                last |= {
+                    (one.station, antenna, dipole, *kind): one
+                    for antenna in (every if one.antenna is None else [one.antenna])
+                }
+        for (_, antenna, dipole, *_), one in last.items():
+            rows = (spectra.station == one.station) & (spectra.dipole == dipole) & (spectra.antenna == antenna)
+            behind, _ = neighbours.behind.get((one.station, antenna, dipole), (np.zeros(power.shape[1]), ""))
+            signal = np.maximum(power[rows] - behind, 0.0)
+            power[rows] += signal * np.expm1(-one.log_power(spectra.time_unix[rows], modes))
         return power
 
     return replace(whole, unchanged=take_out)

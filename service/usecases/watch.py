@@ -310,7 +310,7 @@ def tell_news(report: Mapping[str, Any], frequency_mhz: Floats, *, cuts_windows:
         is_path = slope["antenna"] is not None
         scope = Scope(slope["station"], slope["antenna"], slope["dipole"]) if is_path else Scope(slope["station"])
         beside = "its station" if is_path else "the other stations"
-        followed = f"; C in effect follows that{UNLESS}" if is_path and cuts_windows else ""
+        followed = f"; C in effect follows that{UNLESS} or entered another" if is_path and cuts_windows else ""
         amount = tell_change(slope["slope"], slope["sigma"], slope["shape"], frequency_mhz)
         sentence = (
             f"{name_path(slope['station'], slope['antenna'], slope['dipole'])}: C changes by {amount} a year "

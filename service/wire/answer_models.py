@@ -619,6 +619,7 @@ class PathChangeAnswer(Answer):
     cuts_windows: bool = Field(
         description="whether windows are cut there: a step in force whose date is known to 90 days"
     )
+    doubts: list[str] = Field(description="what spectra, or other changes on record, say against it")
     made_at: Moment
     ended_at: MomentOrNone = Field(description="when the last source no longer said so")
 

@@ -20,7 +20,7 @@ from service.storage.alarms import News
 from service.storage.changes import DRIFT, INVESTIGATION, Change, Evidence
 from service.storage.models import Investigation
 from service.storage.versions import Version
-from service.usecases.watch import tell_news
+from service.usecases.watch import settle_changes, tell_news
 from tests.service.conftest import promote
 
 
@@ -141,6 +141,51 @@ def test_an_alarm_of_a_step_that_was_dismissed_said_unless_it_was(factory: Facto
         told.append(client.get("/v1/alarms").json()["alarms"][0]["sentence"].rpartition("; ")[2])
     cut = "its windows are cut there"
     assert told == [f"{cut} unless a person dismissed the change", cut, "a person dismissed the change", cut]
+
+
+def test_what_a_person_enters_is_told_with_what_drift_measures(factory: Factory, client: TestClient) -> None:
+    month_s = 30 * DAY_US / 1e6
+    step = {
+        "station": "CS002", "is_known": False, "date_unix": DATE / 1e6, "date_sigma_days": 1.0, "size": 0.12,
+        "sigma": 0.002, "shape": {}, "significance": 30.0,
+        "members": [
+            {"antenna": 1, "dipole": dipole, "size": 0.12, "sigma": 0.002, "significance": 30.0} for dipole in "XY"
+        ],
+    }  # fmt: skip
+    slope = {
+        "station": "CS002", "antenna": 2, "dipole": "X", "slope": 0.04, "sigma": 0.002, "shape": {}, "is_found": True,
+        "significance": 20.0, "season": 0.03, "season_sigma": 0.003, "season_phase": 0.05, "season_is_found": False,
+        "season_significance": 9.0, "season_shape": {},
+    }  # fmt: skip
+    report = {"changes": [step], "slopes": [slope], "trends": {}, "first_unix": DATE / 1e6 - 6 * month_s}
+    with factory.database.write() as stores:
+        stores.drift.keep_report("all", report, factory.clock())
+        settle_changes(stores, report, {}, factory.clock())
+
+    def enter(antenna: int, date: str, size: float | None, kind: str = "step", dipole: str | None = None) -> list[str]:
+        path = {"station": "CS002", "antenna": antenna} | ({} if dipole is None else {"dipole": dipole})
+        body = {"paths": [path], "kind": kind, "at": {"value": date, "sigma_days": 1.0}, "reason": "from memory"}
+        body |= {} if size is None else {"size": {"value": size, "sigma": 0.004}}
+        answer = client.post("/v1/changes", json=body)
+        assert answer.status_code == 201, answer.json()
+        return list(answer.json()["doubts"])
+
+    at = "2014-05-01T00:00:00Z"
+    assert enter(1, "2014-05-16", None) == [
+        "drift finds change 1, 15.0 days away, and no other: if both are one, dismiss one"
+    ]
+    assert enter(1, "2014-07-16", None) == []
+    assert enter(1, at, 0.121) == []
+    assert enter(1, at, -0.107) == ["drift measures +12.00 ± 0.20 %"]
+    assert enter(2, at, -0.04, "ramp") == ["drift measures +4.00 ± 0.20 % a year in CS002 antenna 2 X"]
+    assert enter(2, at, 0.041, "ramp", "X") == []
+    assert enter(2, "2014-01-19", 0.03, "season") == []
+    said = "drift measures +3.00 ± 0.30 %, largest on 01-19 (month, day) in CS002 antenna 2 X"
+    assert enter(2, "2014-07-19", 0.03, "season") == [said]
+    assert enter(0, at, 0.06, "ramp") == []  # nothing is measured there
+    found = client.get("/v1/changes").json()["changes"]
+    replaced = {one["id"]: one["doubts"][0] for one in found if any("in its place" in doubt for doubt in one["doubts"])}
+    assert replaced == {2: "C follows change 6 in its place", 7: "C follows change 8 in its place"}
 
 
 def test_a_change_ends_when_nobody_finds_it_any_longer(factory: Factory, client: TestClient) -> None:

@@ -7,13 +7,16 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 
+from lbacal_core.calibration.slow_changes import YEAR_S, SlowChange
 from lbacal_core.causes.model import Model
 from lbacal_core.curves.kept_lines import KeptLines
 from lbacal_core.curves.validity import Scope
+from lbacal_core.discovery.calibrate import FittedCauses
 from service.storage.changes import Cut
 from service.storage.sums import KeptPiece
-from service.usecases.fits import Wanted, _name_sizes
+from service.usecases.fits import Wanted, _name_sizes, _take_out
 from service.usecases.windows import ALONE, Neighbours
 from tests.service.conftest import instant
 
@@ -67,3 +70,23 @@ def test_a_mean_is_named_by_the_noise_of_the_antennas_whose_changes_are_taken_ou
     fewer = {key: of for key, of in behind.items() if key[1] == 1}
     names = [_name_sizes(whole, of_all, Neighbours((), {}, one)) for one in (behind, fewer)]
     assert names[0] != names[1]
+
+
+@pytest.mark.parametrize("dipoles", [None, ("X", "Y"), ("X",)])
+def test_of_two_ramps_of_one_path_the_last_is_taken_out_of_a_mean(dipoles: tuple[str, ...] | None) -> None:
+    """That of a person and that of drift were both, where one named the dipole and the other the antenna."""
+    first = SlowChange(False, 0.0, 0.0, 0.1, 0.01, (0.0, 0.0))
+    last = replace(first, size=-0.04)
+    changes = (Cut("CS002", 1, 0, ("X",), slow=first), Cut("CS002", 1, 0, dipoles, slow=last))
+    wanted = Wanted("station", Scope("CS002"), 0, 2, Model(), "test", "test", changes)
+    frequency = np.array([30.0, 55.0, 80.0])
+    simulation: Any = SimpleNamespace(instrument=SimpleNamespace(frequency_mhz=frequency))
+    spectra: Any = SimpleNamespace(
+        station=np.array(["CS002"]), antenna=np.array([1]), dipole=np.array(["X"]), time_unix=np.array([YEAR_S]),
+        power=np.ones((1, 3)),
+    )  # fmt: skip
+    none: Any = None
+    whole = FittedCauses(spectra, simulation, none, ())
+    taken_out = _take_out(whole, wanted, Neighbours((), {}, {})).unchanged
+    assert taken_out is not None
+    assert taken_out(spectra) == pytest.approx(np.exp([[2.0 * last.size] * 3]))

@@ -1,0 +1,106 @@
+"""What the spectra, or another change on record, say against what a person entered: told beside it, never decided.
+
+A person's word is in force whatever drift measures. Where that is something else, or C follows another change in its
+place, or a step that drift found lies so near that both may be one, whoever reads the change is to know it.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from lbacal.instants import DAY_US, SECOND_US, format_instant
+from lbacal_core.calibration.slow_changes import YEAR_S
+from lbacal_core.errors import name_path, write_change
+from service.storage.changes import RAMP, SAME_DATE, STEP, KeptChange, concerns
+from service.usecases.watch import read_changes
+
+NEAR_US = 30 * DAY_US
+"""Steps nearer than this, of which drift finds one alone, may be one: what people remember is some weeks off."""
+
+
+def find_doubts(kept: KeptChange, on_record: Sequence[KeptChange], report: Mapping[str, Any] | None) -> tuple[str, ...]:
+    """What speaks against a change in force, a clause each.
+
+    Parameters
+    ----------
+    on_record
+        The changes of its station.
+    report
+        The newest of drift.
+    """
+    if not kept.stands:
+        return ()
+    return (*_find_replaced(kept, on_record), *_compare(kept, on_record, report or {"changes": []}))
+
+
+def _find_replaced(kept: KeptChange, on_record: Sequence[KeptChange]) -> Iterator[str]:
+    """The change of its kind that C follows in its place."""
+    own = kept.change
+    later = [
+        one for one in on_record
+        if kept.slow and one.slow and one.rank > kept.rank
+        and (one.change.kind, one.change.station, not one.change.paths) == (own.kind, own.station, not own.paths)
+        and all({path, (path[0], None)} & set(one.change.paths) for path in own.paths)
+    ]  # fmt: skip
+    if later:
+        yield f"C follows change {max(later, key=lambda one: one.rank).number} in its place"
+
+
+def _compare(kept: KeptChange, on_record: Sequence[KeptChange], report: Mapping[str, Any]) -> Iterator[str]:
+    """What drift measures in place of what a person entered."""
+    own = kept.change
+    if not kept.is_spoken_of:
+        return
+    if own.kind != STEP:
+        yield from _compare_slow(kept, report)
+        return
+    found = [one for told in report["changes"] for one in read_changes(told)]
+    same = [one for one in found if own.is_same(one)]
+    for one in same[:1]:
+        apart = None if None in (own.size, one.size) else abs((own.size or 0.0) - (one.size or 0.0))
+        if apart is not None and apart > SAME_DATE * math.hypot(own.size_sigma or 0.0, one.size_sigma or 0.0):
+            yield f"drift measures {write_change(one.size or 0.0, one.size_sigma or 0.0)}"
+    others = [one for one in on_record if one.stands and one.change.kind == STEP and one.number != kept.number]
+    of_same = [
+        one for one in others
+        if one.change.station == own.station
+        and (set(one.change.antennas) & set(own.antennas) or one.change.paths == own.paths)
+    ]  # fmt: skip
+    near = [
+        one for one in of_same
+        if not same and abs(one.change.date - own.date) < NEAR_US and any(map(one.change.is_same, found))
+    ]  # fmt: skip
+    if near:
+        other = min(near, key=lambda one: abs(one.change.date - own.date))
+        days = abs(other.change.date - own.date) / DAY_US
+        yield f"drift finds change {other.number}, {days:.1f} days away, and no other: if both are one, dismiss one"
+
+
+def _compare_slow(kept: KeptChange, report: Mapping[str, Any]) -> Iterator[str]:
+    """What drift measures of the path that is farthest from a ramp or a season."""
+    own, farthest = kept.change, (SAME_DATE, "")
+    size, wave = math.log1p(own.size or 0.0), _turn(own.date / SECOND_US / YEAR_S)
+    for one in report.get("slopes", ()):
+        if (one["station"], one["antenna"] is None) != (own.station, not own.paths) or not (
+            concerns(kept, one["antenna"], one["dipole"])
+        ):
+            continue
+        value, sigma, apart = one["slope"], one["sigma"], abs(size - one["slope"])
+        words = " a year"
+        if own.kind != RAMP:
+            value, sigma, phase = one["season"], one["season_sigma"], one["season_phase"]
+            apart = abs(size * wave - value * _turn(phase))
+            words = f", largest on {format_instant(round(phase * YEAR_S * SECOND_US))[5:10]} (month, day)"
+        significance = apart / math.hypot(own.size_sigma or 0.0, sigma)
+        if significance > farthest[0]:
+            who = name_path(one["station"], one["antenna"], one["dipole"])
+            farthest = significance, f"drift measures {write_change(value, sigma)}{words} in {who}"
+    if farthest[1]:
+        yield farthest[1]
+
+
+def _turn(years: float) -> complex:
+    return cmath.exp(2j * math.pi * years)
