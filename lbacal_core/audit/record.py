@@ -37,6 +37,7 @@ _OF_KIND = {
     "clock": "lst_offset",
     SUMMER_TIME: "lst_offset",
     "longitude sign": "lst_offset",
+    "latitude": SITE.identifier,
     "latitude sign": SITE.identifier,
     "latitude for longitude": SITE.identifier,
 }
@@ -63,7 +64,7 @@ class RecordError:
     @property
     def size(self) -> tuple[float, float | None]:
         """The size with its standard deviation, None where it has none: exchanged letters and places."""
-        if self.line.value is None:
+        if self.line.value is None or self.cause is SITE:
             return EXCHANGED, None
         return self.line.value, self.line.sigma
 
@@ -173,5 +174,6 @@ def _correct(spectra: Spectra, instrument: Instrument, line: Line) -> tuple[Spec
         return replace(spectra, arms_deg={}), replace(instrument, dipole_azimuth_deg=arms)
     here = instrument.at_station(line.station)
     north, east = here.latitude_deg, here.longitude_deg
-    place = (-north, east) if line.kind == "latitude sign" else (east, north)
+    places = {"latitude": (north + (line.value or 0.0), east), "latitude sign": (-north, east)}
+    place = places.get(line.kind, (east, north))
     return spectra, replace(here, latitude_deg=place[0], longitude_deg=place[1])

@@ -1,7 +1,8 @@
 """What a station saw of the sky against its clock, arms, place and unit on record, and against what may be wrong there.
 
 Every other possibility is tried for itself: a clock that is off, arms that are turned, dipoles exchanged everywhere, a
-hemisphere or a longitude of the wrong sign, latitude and longitude exchanged, decibels or volts instead of power.
+latitude that is another, a longitude of the wrong sign, latitude and longitude exchanged, decibels or volts instead of
+power.
 """
 
 from __future__ import annotations
@@ -123,7 +124,7 @@ FEW_CLOCKS = np.arange(-11.0, 12.0, 1.5).tolist()
 ARMS_RANGE, ARMS_STEP, ARMS_FINE = 180.0, 10.0, 1.0
 WHOLE_HOURS = 12.0
 """Sidereal time that each of summer and winter time must cover for a clock of its own."""
-NORTH_POLE_DEG = 90.0
+NORTH_POLE_DEG, LATITUDE_STEP, LATITUDE_FINE = 90.0, 10.0, 1.0
 
 
 class SkyMatch:
@@ -178,6 +179,7 @@ class SkyMatch:
         possibilities = [
             self._scan_clock(likelihood),
             *(self._scan_arms(likelihood, arm) for arm in arms),
+            self._scan_latitude(likelihood),
             *self._try_places(likelihood),
             *units,
         ]
@@ -237,6 +239,16 @@ class SkyMatch:
         angles = np.arange(-ARMS_RANGE / 2, ARMS_RANGE / 2, ARMS_STEP)
         turned = _weigh("arms", likelihood, lambda angle: self._seen(likelihood, 0.0, angle, arm), angles, ARMS_FINE)
         return replace(turned, kind="arms" if arm is None else "arm", dipole=arm)
+
+    def _scan_latitude(self, likelihood: AnyReceiver) -> Possibility:
+        here, pole = self.instrument.latitude_deg, NORTH_POLE_DEG
+
+        def seen_at(latitude: float) -> Seen:
+            return self.models.seen(likelihood.series.lst_hours, min(max(latitude, -pole), pole))
+
+        latitudes = np.arange(-pole, pole, LATITUDE_STEP)
+        found = _weigh("latitude", likelihood, seen_at, latitudes, LATITUDE_FINE)
+        return replace(found, value=(found.value or 0.0) - here)
 
     def _try_places(self, likelihood: AnyReceiver) -> list[Possibility]:
         lst, latitude, longitude = (

@@ -107,6 +107,7 @@ NOTHING_FITS = (
     "model, or the receiver changes with the hour; lbacal fit shows where along frequency"
 )
 _CHECKS = {
+    "latitude": "place",
     "latitude sign": "place",
     "longitude sign": "place",
     "latitude for longitude": "place",
@@ -125,7 +126,8 @@ class Possibility:
     log_likelihood
         Averaged over all sizes that the possibility may have.
     value, sigma
-        Size of a clock (h) or of turned arms (deg); of a place, the clock that would look like it (h).
+        Size of a clock (h), of turned arms or of a latitude (deg); of other places, the clock that would look like it
+        (h).
     fits
         Whether it describes the data, and not only better than the record does.
     dipole
@@ -160,6 +162,8 @@ class Possibility:
         value, sigma = self.value or 0.0, self.sigma or 0.0
         if self.kind == "arms" and other.kind == "exchange":
             return self.is_right_angle
+        if self.kind == "latitude":
+            return other.kind == "latitude sign"
         if self.kind == "clock" and other.check == "place" and other.value:
             is_near = abs(value - other.value) < max(SAME_H, SAME_SIGMAS * sigma)
             return is_near and other.log_likelihood >= self.log_likelihood
@@ -206,7 +210,7 @@ def conclude(
         return [Line(RECORD, WRONG, station, sentence, log_odds=gain, candidates=kinds)]
     best = alike[0]
     sentence = "; or ".join(describe(one) for one in alike)
-    unit = {"clock": "h", "arms": "deg"}.get(best.check, "")
+    unit = {"clock": "h", "arms": "deg", "arm": "deg", "latitude": "deg"}.get(best.kind, "")
     value = best.value if unit else None
     turns = [(one.value or 0.0) - (best.value or 0.0) for one in alike]
     apart = max(abs((turn + RIGHT_ANGLE) % (2 * RIGHT_ANGLE) - RIGHT_ANGLE) for turn in turns)
@@ -285,6 +289,7 @@ def describe(one: Possibility) -> str:
         return f"{mixed}{turned} turned by {value:+.0f} +- {sigma:.0f} deg (north through east) from the record"
     return {
         "exchange": "X and Y are exchanged at every antenna, or both arms are turned by 90 deg",
+        "latitude": f"the latitude is {value:+.1f} +- {sigma:.1f} deg from the record",
         "latitude sign": "the latitude has the wrong sign",
         "longitude sign": "the longitude has the wrong sign",
         "latitude for longitude": "latitude and longitude are exchanged",

@@ -130,6 +130,13 @@ def test_arms_are_turned_and_a_place_is_moved_back(spectra, known):
     assert right.simulation.given is None
 
 
+def test_a_latitude_that_is_off_is_moved_back(spectra, known):
+    right = put_right(spectra, Simulation(replace(known, latitude_deg=known.latitude_deg - 15.0)))
+    (error,) = right.errors
+    assert (error.cause.identifier, error.size) == ("site", (1.0, None))
+    assert right.simulation.instrument.latitude_deg == pytest.approx(known.latitude_deg, abs=3.0 * error.line.sigma)
+
+
 def test_a_path_that_does_not_work_is_left_out(spectra, known):
     dead = (spectra.antenna == 4) & (spectra.dipole == "X")
     right = put_right(kill(spectra, dead), Simulation(known))

@@ -72,6 +72,14 @@ def test_a_latitude_of_the_other_hemisphere_is_named(station, low_band):
     assert tell(station, replace(low_band, latitude_deg=-low_band.latitude_deg))["place"][0] == "wrong"
 
 
+def test_a_latitude_that_is_off_is_measured(station, low_band):
+    """Fifteen degrees were "nothing wrong" where a fit called every path a misfit."""
+    (line,) = match_of(station, replace(low_band, latitude_deg=low_band.latitude_deg - 15.0)).tell(ALL)
+    assert (line.check, line.verdict, line.unit) == ("place", "wrong", "deg")
+    assert line.value == pytest.approx(15.0, abs=3.0 * line.sigma)
+    assert line.sentence == f"the latitude is {line.value:+.1f} +- {line.sigma:.1f} deg from the record"
+
+
 def test_minutes_determine_no_clock(station, low_band):
     short = replace(
         station, power=station.power[:, :, :1], time_unix=station.time_unix[:1], lst_hours=station.lst_hours[:1]
