@@ -133,20 +133,36 @@ def find_ill_paths(station: AuditedStation, comparison: Comparison) -> tuple[lis
         if kind is None or (kind == "outlying" and not is_comparable[a]):
             continue
         is_ill[a, d] = True
+        since, until = _find_dead(station, a, d) if kind == "dead" else (None, None)
+        told = f"antenna {station.antennas[a]} {station.dipoles[d]} {_SENTENCES[kind]}{_describe_part(since, until)}"
         lines.append(
             Line(
                 check=kind,
                 verdict=WRONG,
                 station=station.name,
-                sentence=f"antenna {station.antennas[a]} {station.dipoles[d]} {_SENTENCES[kind]}: "
-                f"{DECIBEL * level:+.1f} dB from the others",
+                sentence=f"{told}: {DECIBEL * level:+.1f} dB from the others",
                 antennas=(int(station.antennas[a]),),
                 dipole=station.dipoles[d],
                 value=DECIBEL * level,
                 unit="dB",
+                since_unix=None if since is None else since.at,
+                until_unix=None if until is None else until.at,
             )
         )
     return lines, is_ill
+
+
+def _find_dead(station: AuditedStation, a: int, d: int) -> tuple[Edge | None, Edge | None]:
+    """When a path, by its row, begins and ceases to be dead; None where that is no date in the data."""
+    power = station.before_cable()[:, d]
+    level = np.nanmean(power[a] - np.nanmedian(power, axis=0), axis=-1)
+    known = np.flatnonzero(np.isfinite(level))
+    dead = np.flatnonzero(level[known] < DEAD_LEVEL)
+    if dead.size == 0 or np.ptp(dead) >= dead.size:  # not on end
+        return None, None
+    edges = [_edge(station.time_unix[known], at, np.array([at])) if min(at, known.size - at) >= FEWEST_BESIDE else None
+             for at in (int(dead[0]), int(dead[-1]) + 1)]  # fmt: skip
+    return edges[0], edges[1]
 
 
 _SENTENCES = {
@@ -503,19 +519,24 @@ def tell_exchanged(station: AuditedStation, exchange: ExchangeOdds) -> list[Line
 
 def _tell_dated(station: AuditedStation, one: ExchangedPart) -> Line:
     """The exchange of an antenna in a part of the time."""
-    antenna, edges = int(station.antennas[one.row]), (("since", one.since), ("until", one.until))
-    when = " and ".join(f"{word} {edge}" for word, edge in edges if edge is not None)
+    antenna = int(station.antennas[one.row])
     return Line(
         "exchange",
         WRONG,
         station.name,
-        f"X and Y are exchanged at antenna {antenna} {when}",
+        f"X and Y are exchanged at antenna {antenna}{_describe_part(one.since, one.until)}",
         antennas=(antenna,),
         log_odds=one.odds,
         kind="exchange",
         since_unix=None if one.since is None else one.since.at,
         until_unix=None if one.until is None else one.until.at,
     )
+
+
+def _describe_part(since: Edge | None, until: Edge | None) -> str:
+    """When a part of the time begins and ends, for the end of a clause; empty for all of it."""
+    when = " and ".join(f"{word} {edge}" for word, edge in (("since", since), ("until", until)) if edge is not None)
+    return when and f" {when}"
 
 
 @dataclass(frozen=True)

@@ -201,6 +201,22 @@ def test_a_path_that_does_not_work_is_named_and_no_other(station, kind):
     assert np.argwhere(is_ill).tolist() == [[ANTENNA, DIPOLE]]
 
 
+@pytest.mark.parametrize(("begin", "end"), [(8, HOURS), (0, 16), (6, 18), (0, HOURS)])
+def test_a_path_that_is_dead_in_a_part_of_the_time_is_told_with_its_dates(station, begin, end):
+    """An antenna that had worked in 103 of 300 events was dead without a date."""
+    power = station.power.copy()
+    power[ANTENNA, DIPOLE, begin:end] *= 1e-3
+    dead = replace(station, power=power)
+    ((line,), _), time = find_ill_paths(dead, compare_paths(dead)), station.time_unix
+    since = time[begin - 1 : begin + 1].mean() if begin else None
+    until = time[end - 1 : end + 1].mean() if end < HOURS else None
+    assert (line.check, line.since_unix, line.until_unix) == ("dead", since, until)
+    assert ("since a date between" in line.sentence, "until a date between" in line.sentence) == (
+        begin > 0,
+        end < HOURS,
+    )
+
+
 @pytest.mark.parametrize("noise", [0.0, 0.04])
 def test_a_path_that_does_not_follow_the_sky_at_its_usual_level_is_insensitive_and_not_exchanged(station, noise):
     """A load in the place of an antenna, as loud as an antenna, was called an exchange of X and Y (ln odds 345)."""
