@@ -102,7 +102,7 @@ def print_change(one: dict[str, Any]) -> None:
     print(f"{one['id']} {who}, {one['kind']} at {date}{size} ({tell_state(one)}{'; found by ' + by if by else ''})")
     if one["reason"] != f"found by {one['by']}":
         print(f"  {one['by']}: {one['reason']}")
-    for doubt in one["doubts"]:
+    for doubt in one.get("doubts", ()):
         print(f"  but {doubt}")
 
 

@@ -193,9 +193,11 @@ def conclude(
         return [Line(one.kind, UNDECIDED, station, NOTHING_FITS) for one in possibilities if one.kind in TELLING]
     if gain < LEAST_GAIN:
         lines = [_confirm(station, one, base) for one in possibilities if one.kind in TELLING]
-        if best.check == "unit" and gain > ALIKE:
-            sentence = f"perhaps {describe(best)}: antennas on two kinds of cable would tell"
-            lines.append(Line("unit", UNDECIDED, station, sentence, log_odds=gain))
+        units = (one for one in possibilities if one.check == "unit")
+        likeliest = max(units, key=lambda one: one.log_likelihood, default=None)
+        if likeliest is not None and likeliest.log_likelihood - base > ALIKE:
+            sentence = f"perhaps {describe(likeliest)}: antennas on two kinds of cable would tell"
+            lines.append(Line("unit", UNDECIDED, station, sentence, log_odds=likeliest.log_likelihood - base))
         return lines
     near = [one for one in possibilities if best.log_likelihood - one.log_likelihood < alike_below]
     alike = [one for one in near if not any(one.is_chance_of(other) for other in near)]

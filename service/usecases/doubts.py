@@ -22,7 +22,7 @@ NEAR_US = 30 * DAY_US
 
 
 def find_doubts(kept: KeptChange, on_record: Sequence[KeptChange], report: Mapping[str, Any] | None) -> tuple[str, ...]:
-    """What speaks against a change in force, a clause each.
+    """Find the clauses that speak against a change in force.
 
     Parameters
     ----------
