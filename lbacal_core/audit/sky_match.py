@@ -16,7 +16,17 @@ from numpy.typing import NDArray
 
 from lbacal_core.audit.antennas import DECIBEL, PAIR, fits_cables, log_likelihood_of_unit
 from lbacal_core.audit.station import SHARE, SHARE_SPREAD, SKY_HOURS, AnyReceiver, AuditedStation, Seen, make_series
-from lbacal_core.audit.verdict import LEAST_GAIN, UNDECIDED, WRONG, Line, Possibility, conclude, describe, tell_summer
+from lbacal_core.audit.verdict import (
+    LEAST_GAIN,
+    UNDECIDED,
+    WRONG,
+    Line,
+    Possibility,
+    conclude,
+    describe,
+    tell_drift,
+    tell_summer,
+)
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.sky.antenna_of import antenna_of
@@ -188,7 +198,7 @@ class SkyMatch:
         lines = conclude(station.name, base, possibilities, station.hours, likelihood.fits(seen))
         if all(line.verdict != WRONG for line in lines):
             lines = self._ask_months(rows) or lines
-        return [self._ask_summer(line, rows) if "clock" in (line.kind, *line.candidates) else line for line in lines]
+        return [self._ask_time(line, rows) if "clock" in (line.kind, *line.candidates) else line for line in lines]
 
     def _ask_months(self, rows: NDArray[np.int64]) -> list[Line]:
         """A clock that is off in months on end, where all others agree with the record; else nothing."""
@@ -262,13 +272,26 @@ class SkyMatch:
             for kind, (shift, place) in shifts.items()
         ]
 
-    def _ask_summer(self, clock: Line, rows: NDArray[np.int64]) -> Line:
-        """A clock that is wrong; with those of summer and winter time where an hour lies between them."""
-        is_summer = is_summer_time(self.station.time_unix)
-        halves = [self.station.at(is_summer), self.station.at(~is_summer)]
-        if len(set(is_summer.tolist())) == 1 or any(half.hours < WHOLE_HOURS for half in halves):
-            return clock
-        return tell_summer(clock, *(self._scan_clock(self._likelihood(half, rows)) for half in halves))
+    def _ask_time(self, clock: Line, rows: NDArray[np.int64]) -> Line:
+        """A clock that is wrong, and how it differs between summer and winter time or between halves of the time."""
+        time = self.station.time_unix
+        middle = float(np.median(time))
+        of_summer = self._scan_parts(is_summer_time(time), rows)
+        told = tell_summer(clock, *of_summer) if of_summer else clock
+        if told is not clock or clock.kind != "clock" or clock.since_unix is not None:
+            return told
+        of_halves = self._scan_parts(time < middle, rows)
+        return tell_drift(clock, *of_halves, f"{datetime.fromtimestamp(middle, UTC):%Y-%m-%d}") if of_halves else clock
+
+    def _scan_parts(self, is_in: NDArray[np.bool_], rows: NDArray[np.int64]) -> tuple[Possibility, Possibility] | None:
+        """The clock in a part of the time and in the rest; None where one of them is too short."""
+        if is_in.all() or not is_in.any():
+            return None
+        parts = self.station.at(is_in), self.station.at(~is_in)
+        if any(part.hours < WHOLE_HOURS for part in parts):
+            return None
+        one, rest = (self._scan_clock(self._likelihood(part, rows)) for part in parts)
+        return one, rest
 
 
 def tell_unit(station: AuditedStation, rows: NDArray[np.int64], instrument: Instrument) -> list[Line]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -267,6 +267,23 @@ def tell_summer(line: Line, summer: Possibility, winter: Possibility) -> Line:
         "clock", WRONG, line.station, sentence, log_odds=line.log_odds, value=value, sigma=sigma, unit="h",
         kind=SUMMER_TIME, seasons_h=(values[0][0], values[1][0]),
     )  # fmt: skip
+
+
+def tell_drift(line: Line, before: Possibility, after: Possibility, date: str) -> Line:
+    """The line of a clock, or one of a clock that drifts where the two halves of the time, parted at a date, differ.
+
+    Two values must be as much better than one as any possibility than the record: ln L averaged over all that the
+    second may be. Its sigma covers both.
+    """
+    sigma, half_day = math.hypot(before.sigma or 0.0, after.sigma or 0.0), HOURS / 2
+    apart = ((after.value or 0.0) - (before.value or 0.0) + half_day) % HOURS - half_day
+    gain = math.log((2 * math.pi) ** 0.5 * sigma / HOURS) - _far(apart, sigma)
+    if not (before.fits and after.fits) or gain < LEAST_GAIN:
+        return line
+    first, second = (f"{60 * (one.value or 0.0):+.0f} +- {60 * (one.sigma or 0.0):.0f} min" for one in (before, after))
+    sentence = f"sidereal time is {first} before {date} and {second} after from that of clock and longitude on record: "
+    sentence += "a clock that drifts or steps"
+    return replace(line, check="clock", sentence=sentence, sigma=math.hypot(line.sigma or 0.0, apart / 2))
 
 
 def _far(hours: float, sigma: float) -> float:

@@ -17,11 +17,12 @@ from lbacal_core.audit.station import (
     split_stations,
     spread,
 )
-from lbacal_core.audit.verdict import Possibility, conclude
+from lbacal_core.audit.verdict import Possibility, conclude, tell_drift
 from lbacal_core.errors import BadInputError
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.sky.differences import DifferenceModels
 from lbacal_core.sky.power import compute_sky_power
+from tests.lbacal_core.audit.conftest import HOURS
 
 ALL = np.arange(6)
 
@@ -47,6 +48,15 @@ def test_a_clock_that_is_off_is_measured(station, low_band, hours):
     verdict, value = tell(late, low_band)["clock"]
     assert verdict == "wrong"
     assert value == pytest.approx(-hours, abs=1 / 60)
+
+
+def test_a_clock_that_is_later_in_half_of_the_time_drifts_and_one_that_is_late_all_along_does_not(station, low_band):
+    scatter = np.random.default_rng(3).normal(1.0, 0.05, (6, 2, 2 * HOURS, 1))
+    power, time = scatter * np.tile(station.power, (1, 1, 2, 1)), np.append(station.time_unix, station.time_unix + 1e6)
+    for later, drifts in ((3.5, True), (2.0, False)):
+        lst = np.append(station.lst_hours - 2.0, station.lst_hours - later) % 24
+        line, *_ = match_of(replace(station, power=power, time_unix=time, lst_hours=lst), low_band).tell(ALL)
+        assert (line.check, "a clock that drifts or steps" in line.sentence) == ("clock", drifts)
 
 
 def test_turned_arms_are_measured_and_a_right_angle_is_an_exchange(station, low_band):
@@ -320,6 +330,16 @@ def test_a_clock_that_is_off_by_a_whole_hour_is_that_of_a_time_zone():
     (line,) = conclude("CS002", 0.0, [Possibility("clock", 90.0, -2.01, 0.02)])
     assert "the times are of UTC+2 instead of UTC (-120 min); or a clock" in line.sentence
     assert line.unit == "h"
+
+
+def test_a_clock_that_differs_between_halves_of_the_time_drifts():
+    """A clock that ran from 0 to 60 min in a year was told as 35 +- 2 min all along."""
+    (line,) = conclude("CS002", 0.0, [Possibility("clock", 90.0, 0.59, 0.03)])
+    first, later, same = (Possibility("clock", 90.0, value, 0.05) for value in (0.35, 0.74, 0.5))
+    drifts = tell_drift(line, first, later, "2014-07-02")
+    assert "is +21 +- 3 min before 2014-07-02 and +44 +- 3 min after" in drifts.sentence
+    assert drifts.sigma == pytest.approx(0.2, abs=0.01)
+    assert tell_drift(line, first, same, "2014-07-02") is line
 
 
 def test_a_unit_that_is_likelier_but_not_certain_is_said_beside_what_is_confirmed():
