@@ -18,7 +18,7 @@ from service.storage.changes import RAMP, SAME_DATE, STEP, KeptChange, concerns
 from service.usecases.watch import read_changes
 
 NEAR_US = 30 * DAY_US
-"""Steps nearer than this, of which drift finds one alone, may be one: what people remember is some weeks off."""
+"""Steps nearer than this, of which drift finds one alone, may be one: people remember dates to some weeks."""
 
 
 def find_doubts(kept: KeptChange, on_record: Sequence[KeptChange], report: Mapping[str, Any] | None) -> tuple[str, ...]:
@@ -63,20 +63,17 @@ def _compare(kept: KeptChange, on_record: Sequence[KeptChange], report: Mapping[
         apart = None if None in (own.size, one.size) else abs((own.size or 0.0) - (one.size or 0.0))
         if apart is not None and apart > SAME_DATE * math.hypot(own.size_sigma or 0.0, one.size_sigma or 0.0):
             yield f"drift measures {write_change(one.size or 0.0, one.size_sigma or 0.0)}"
-    others = [one for one in on_record if one.stands and one.change.kind == STEP and one.number != kept.number]
-    of_same = [
-        one for one in others
-        if one.change.station == own.station
-        and (set(one.change.antennas) & set(own.antennas) or one.change.paths == own.paths)
-    ]  # fmt: skip
+    if same:
+        return
     near = [
-        one for one in of_same
-        if not same and abs(one.change.date - own.date) < NEAR_US and any(map(one.change.is_same, found))
+        one for one in found
+        if one.station == own.station and abs(one.date - own.date) < NEAR_US
+        and (set(one.antennas) & set(own.antennas) or one.paths == own.paths)
     ]  # fmt: skip
-    if near:
-        other = min(near, key=lambda one: abs(one.change.date - own.date))
-        days = abs(other.change.date - own.date) / DAY_US
-        yield f"drift finds change {other.number}, {days:.1f} days away, and no other: if both are one, dismiss one"
+    for one in sorted(near, key=lambda one: abs(one.date - own.date))[:1]:
+        names = [f" (change {other.number})" for other in on_record if other.change.is_same(one) and other != kept]
+        date = f"{format_instant(one.date)[:10]} ± {one.sigma_days:.1f} d"
+        yield f"drift finds it on {date}{''.join(names[:1])}, and none here"
 
 
 def _compare_slow(kept: KeptChange, report: Mapping[str, Any]) -> Iterator[str]:

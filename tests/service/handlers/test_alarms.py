@@ -171,9 +171,7 @@ def test_what_a_person_enters_is_told_with_what_drift_measures(factory: Factory,
         return list(answer.json()["doubts"])
 
     at = "2014-05-01T00:00:00Z"
-    assert enter(1, "2014-05-16", None) == [
-        "drift finds change 1, 15.0 days away, and no other: if both are one, dismiss one"
-    ]
+    assert enter(1, "2014-05-16", None) == ["drift finds it on 2014-05-01 ± 1.0 d (change 1), and none here"]
     assert enter(1, "2014-07-16", None) == []
     assert enter(1, at, 0.121) == []
     assert enter(1, at, -0.107) == ["drift measures +12.00 ± 0.20 %"]
