@@ -56,7 +56,7 @@ from service.storage.changes import (
 )  # fmt: skip
 from service.storage.database import Stores
 from service.storage.migration import upgrade
-from service.usecases.changes import mark_changes
+from service.usecases.changes import mark_refitted
 from service.usecases.fits import SMALLEST_SHIFT
 from service.usecases.promotions import Plan
 from service.wire.bodies import ChangeBody, DecisionBody, PromotionBody, ReasonBody, TagBody
@@ -224,7 +224,7 @@ def name_state(months: Sequence[Month], changes: Sequence[KeptChange]) -> Any:
 def compare(factory: Factory, months: Sequence[Month], told: Told) -> None:
     """Hold what is in effect, where nothing is due, against what follows from spectra and changes."""
     with factory.database.read() as stores:
-        changes = mark_changes(stores, stores.changes.kept(), "XY")
+        changes = mark_refitted(stores, stores.changes.kept(), "XY")
         expected, now = natural(months, changes), read_in_effect(stores)
         names = {one.calibration for one in now.values() if one is not None and one.calibration}
         versions = stores.versions.get_many(names)

@@ -78,7 +78,7 @@ def enter(
     entry: dict[str, Any] = {"at": {"value": at, "sigma_days": sigma_days}, "kind": kind, "reason": reason}
     if size is None and size_sigma is not None:
         raise BadInputError("--size-sigma", "--size beside it", "none")
-    if kind != "step" and size is not None and not size_sigma:
+    if kind != "step" and size is not None and size_sigma is None:
         raise BadInputError("--size-sigma", f"the error of the size, which C that follows the {kind} has, too", "none")
     if antenna is None and dipole is not None:
         raise BadInputError("--dipole", "--antenna beside it", "none")

@@ -170,7 +170,7 @@ def list_changes(
     ends = (None if one is None else parse_instant(name, one) for name, one in (("since", since), ("until", until)))
     span = Span(*ends)
     found = [
-        one for one in use.changes.list_all(station)
+        one for one in use.changes.list_doubted(station)
         if concerns(one, antenna, dipole) and span.has(one.change.date) and decision in (None, one.decision)
     ]  # fmt: skip
     return answer(request, {"changes": [describe_change(one, use) for one in found]})

@@ -422,9 +422,13 @@ class ChangeStore(Store):
         """
         kept = self.kept(station)
         ranked = sorted(kept, key=lambda one: one.rank)
-        slow = {(one.change.kind, cut.station, cut.antenna, cut.dipoles): cut for one in ranked for cut in one.follows}
+        last: dict[tuple[Any, ...], Cut] = {}
+        for one in reversed(ranked):
+            for cut in one.follows:
+                last.setdefault((one.change.kind, cut.station, cut.antenna, cut.dipoles), cut)
+        slow = reversed(last.values())  # in order of rank: where two have a path in common, the last counts
         undated = _sort_cuts(step for one in kept if not one.cuts for step in one.steps)
-        return [*_sort_cuts(cut for one in kept for cut in one.cuts), *slow.values()], undated
+        return [*_sort_cuts(cut for one in kept for cut in one.cuts), *slow], undated
 
     def last_act(self, station: str | None, since: Instant, until: Instant) -> list[int]:
         """How many sources of changes in a window ended, and the number of the last decision: nothing where none did.

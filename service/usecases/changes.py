@@ -55,11 +55,10 @@ RIVAL_ODDS = 0.01
 WORDS = {IN_FORCE: "in force", DISMISSED: "dismissed"}
 
 
-def mark_changes(stores: Stores, changes: Sequence[KeptChange], dipoles: Collection[str]) -> list[KeptChange]:
-    """All changes of a station, or of all, with whether they are refitted, and what speaks against them.
+def mark_refitted(stores: Stores, changes: Sequence[KeptChange], dipoles: Collection[str]) -> list[KeptChange]:
+    """Changes with whether they are refitted: one whose antennas have versions in effect may not be.
 
-    One whose antennas have versions in effect may not be refitted. A version of before or after it that a person put
-    into effect over it is no fit that is missing.
+    A version of before or after it that a person put into effect over it is no fit that is missing.
     """
     asked = {
         (one.number, (Scope(cut.station, cut.antenna, None if cut.antenna is None else dipole), cut.date))
@@ -68,10 +67,7 @@ def mark_changes(stores: Stores, changes: Sequence[KeptChange], dipoles: Collect
     bridging = stores.ledger.bridging(place for _, place in asked)
     versions = stores.versions.get_many(bridging.values())
     waiting = {number for number, place in asked if place in bridging and versions[bridging[place]].is_over(place[1])}
-    report = stores.drift.report() if any(one.is_spoken_of for one in changes) else None
-    return [
-        replace(one, is_refitted=one.number not in waiting, doubts=find_doubts(one, changes, report)) for one in changes
-    ]
+    return [replace(one, is_refitted=one.number not in waiting) for one in changes]
 
 
 def propose(
@@ -117,7 +113,12 @@ class Changes:
     def list_all(self, station: str | None = None) -> list[KeptChange]:
         """All changes on record, of all stations or of one."""
         with self.database.read() as stores:
-            return mark_changes(stores, stores.changes.kept(station), self.instrument.dipoles)
+            return mark_refitted(stores, stores.changes.kept(station), self.instrument.dipoles)
+
+    def list_doubted(self, station: str | None = None) -> list[KeptChange]:
+        """The same with what speaks against each."""
+        with self.database.read() as stores:
+            return self._doubt(stores, station)
 
     def enter(self, body: ChangeBody, by: str) -> KeptChange:
         """Put on record and into force what a person knows: of a change that was found, or of a new one."""
@@ -126,18 +127,23 @@ class Changes:
             stores.changes.note(change, Evidence(PERSON, by, None, now))
             same = [one.number for one in stores.changes.kept(change.station) if one.change.is_same(change)]
             decided = [stores.changes.decide(one, Decision(IN_FORCE, now, by, body.reason)) for one in same]
-            return self._mark(stores, decided[0])
+            return self._doubt_one(stores, decided[0])
 
     def decide(self, number: int, body: DecisionBody, by: str) -> KeptChange:
         """Put a change in force, or dismiss it, whatever its sources say."""
         with self.database.write() as stores:
             kept = _require_open(stores.changes.get(number), body.decision)
             decided = stores.changes.decide(kept.number, Decision(body.decision, self.clock(), by, body.reason))
-            return self._mark(stores, decided)
+            return self._doubt_one(stores, decided)
 
-    def _mark(self, stores: Stores, kept: KeptChange) -> KeptChange:
-        every = mark_changes(stores, stores.changes.kept(kept.change.station), self.instrument.dipoles)
-        return next(one for one in every if one.number == kept.number)
+    def _doubt(self, stores: Stores, station: str | None) -> list[KeptChange]:
+        changes = mark_refitted(stores, stores.changes.kept(station), self.instrument.dipoles)
+        report = stores.drift.report() if any(one.is_spoken_of for one in changes) else None
+        doubts = find_doubts(changes, report or {}, self.instrument.dipoles)
+        return [replace(one, doubts=doubts[one.number]) for one in changes]
+
+    def _doubt_one(self, stores: Stores, kept: KeptChange) -> KeptChange:
+        return next(one for one in self._doubt(stores, kept.change.station) if one.number == kept.number)
 
     def foresee(self, number: int, body: DecisionBody, by: str) -> tuple[KeptChange, list[ChangeOfC], dict[str, str]]:
         """The change as it would be decided, and what that does to the curves of its paths, by fits of the year.

@@ -8,62 +8,67 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 from lbacal.instants import DAY_US, SECOND_US, format_instant
 from lbacal_core.calibration.slow_changes import YEAR_S
+from lbacal_core.curves.validity import Scope
 from lbacal_core.errors import name_path, write_change
-from service.storage.changes import RAMP, SAME_DATE, STEP, KeptChange, concerns
+from service.storage.changes import RAMP, SAME_DATE, STEP, Change, KeptChange, concerns
+from service.usecases.calibrations import ByAntenna, find_slow, group_by_antenna
 from service.usecases.watch import read_changes
 
 NEAR_US = 30 * DAY_US
 """Steps nearer than this, of which drift finds one alone, may be one: people remember dates to some weeks."""
 
 
-def find_doubts(kept: KeptChange, on_record: Sequence[KeptChange], report: Mapping[str, Any] | None) -> tuple[str, ...]:
-    """Find the clauses that speak against a change in force.
+def find_doubts(
+    changes: Sequence[KeptChange], report: Mapping[str, Any], dipoles: Collection[str]
+) -> dict[int, tuple[str, ...]]:
+    """Find what speaks against changes in force, by their numbers, a clause each.
 
     Parameters
     ----------
-    on_record
-        The changes of its station.
+    changes
+        All of a station, or of all.
     report
-        The newest of drift.
+        The newest of drift; empty where there is none.
     """
-    if not kept.stands:
-        return ()
-    return (*_find_replaced(kept, on_record), *_compare(kept, on_record, report or {"changes": []}))
+    found = [one for told in report.get("changes", ()) for one in read_changes(told)]
+    of_antenna, doubts = group_by_antenna(changes), dict[int, tuple[str, ...]]()
+    for one in changes:
+        clauses = list(_find_followed(one, of_antenna, dipoles) if one.slow else ())
+        if one.slow and one.is_spoken_of:
+            clauses += _compare_slow(one, report)
+        elif one.stands and one.is_spoken_of and one.change.kind == STEP:
+            clauses += _compare(one.change, found, changes)
+        doubts[one.number] = tuple(clauses)
+    return doubts
 
 
-def _find_replaced(kept: KeptChange, on_record: Sequence[KeptChange]) -> Iterator[str]:
-    """The change of its kind that C follows in its place."""
+def _find_followed(kept: KeptChange, of_antenna: ByAntenna, dipoles: Collection[str]) -> Iterator[str]:
+    """The changes of its kind that C follows in its place, where it follows that in no path."""
     own = kept.change
-    later = [
-        one for one in on_record
-        if kept.slow and one.slow and one.rank > kept.rank
-        and (one.change.kind, one.change.station, not one.change.paths) == (own.kind, own.station, not own.paths)
-        and all({path, (path[0], None)} & set(one.change.paths) for path in own.paths)
-    ]  # fmt: skip
-    if later:
-        yield f"C follows change {max(later, key=lambda one: one.rank).number} in its place"
+    paths = [Scope(own.station, a, d) for a, letter in own.paths for d in ([letter] if letter else dipoles)]
+    followed = {
+        one.number
+        for path in paths or [Scope(own.station)]
+        for one in find_slow(path, of_antenna)
+        if (one.change.kind, one.change.station, not one.change.paths) == (own.kind, own.station, not own.paths)
+    }
+    if kept.number not in followed:
+        yield f"C follows change {' and '.join(map(str, sorted(followed)))} in its place"
 
 
-def _compare(kept: KeptChange, on_record: Sequence[KeptChange], report: Mapping[str, Any]) -> Iterator[str]:
-    """What drift measures in place of what a person entered."""
-    own = kept.change
-    if not kept.is_spoken_of:
-        return
-    if own.kind != STEP:
-        yield from _compare_slow(kept, report)
-        return
-    found = [one for told in report["changes"] for one in read_changes(told)]
-    same = [one for one in found if own.is_same(one)]
-    for one in same[:1]:
-        apart = None if None in (own.size, one.size) else abs((own.size or 0.0) - (one.size or 0.0))
-        if apart is not None and apart > SAME_DATE * math.hypot(own.size_sigma or 0.0, one.size_sigma or 0.0):
-            yield f"drift measures {write_change(one.size or 0.0, one.size_sigma or 0.0)}"
-    if same:
+def _compare(own: Change, found: Sequence[Change], on_record: Sequence[KeptChange]) -> Iterator[str]:
+    """What drift measures of a step that a person entered, or where it finds one instead."""
+    same = next((one for one in found if own.is_same(one)), None)
+    if same is not None:
+        if own.size is not None and same.size is not None:
+            sigma = same.size_sigma or 0.0
+            if abs(own.size - same.size) > SAME_DATE * math.hypot(own.size_sigma or 0.0, sigma):
+                yield f"drift measures {write_change(same.size, sigma)}"
         return
     near = [
         one for one in found
@@ -71,7 +76,7 @@ def _compare(kept: KeptChange, on_record: Sequence[KeptChange], report: Mapping[
         and (set(one.antennas) & set(own.antennas) or one.paths == own.paths)
     ]  # fmt: skip
     for one in sorted(near, key=lambda one: abs(one.date - own.date))[:1]:
-        names = [f" (change {other.number})" for other in on_record if other.change.is_same(one) and other != kept]
+        names = [f" (change {other.number})" for other in on_record if other.change.is_same(one)]
         date = f"{format_instant(one.date)[:10]} ± {one.sigma_days:.1f} d"
         yield f"drift finds it on {date}{''.join(names[:1])}, and none here"
 

@@ -76,7 +76,7 @@ class Lives:
         scope = Scope(station, antenna, dipole)
         changes = [
             # windows are cut alike for both dipoles
-            one for one in self.changes.list_all(station) if concerns(one, antenna, None if one.cuts else dipole)
+            one for one in self.changes.list_doubted(station) if concerns(one, antenna, None if one.cuts else dipole)
         ]  # fmt: skip
         alarms = self.alarms.newest(AlarmsAsked(STATES, MOST, station=station))
         with self.database.read() as stores:

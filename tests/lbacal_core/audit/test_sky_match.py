@@ -348,6 +348,11 @@ def test_a_unit_that_is_likelier_but_not_certain_is_said_beside_what_is_confirme
     assert "perhaps the power is in decibels" in lines[1].sentence
 
 
+def test_a_unit_that_is_likelier_is_said_where_something_else_is_likelier_still_and_not_certain():
+    lines = conclude("S1", 0.0, [Possibility("dB", 7.0), Possibility("latitude", 8.0, 36.0, 5.0)])
+    assert [(line.check, line.verdict, line.log_odds) for line in lines] == [("unit", "undecided", 7.0)]
+
+
 def test_an_hour_lists_what_a_day_would_leave_out():
     """In drawn hours the truth was up to 6 below the best: an hour named a latitude where arms were turned."""
     told = [Possibility("latitude sign", 40.0, 0.0), Possibility("arms", 34.0, -57.0, 9.0)]

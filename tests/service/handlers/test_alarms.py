@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 from typing import Any, Self
 
+import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 from typer.testing import CliRunner
@@ -184,6 +185,12 @@ def test_what_a_person_enters_is_told_with_what_drift_measures(factory: Factory,
     found = client.get("/v1/changes").json()["changes"]
     replaced = {one["id"]: one["doubts"][0] for one in found if any("in its place" in doubt for doubt in one["doubts"])}
     assert replaced == {2: "C follows change 6 in its place", 7: "C follows change 8 in its place"}
+    assert enter(0, at, 0.05, "ramp", "X") == enter(0, at, -0.08, "ramp") == []
+    with factory.database.read() as stores:
+        ramps = [one.slow.size for one in stores.changes.of_fits("CS002")[0] if one.slow and one.antenna == 0]
+    assert np.exp(ramps[-1]) == pytest.approx(0.92), "the last entered is the last taken out"
+    told = {one["id"]: one["doubts"] for one in client.get("/v1/changes").json()["changes"]}
+    assert told[9] == told[10] == ["C follows change 11 in its place"]
 
 
 def test_a_change_ends_when_nobody_finds_it_any_longer(factory: Factory, client: TestClient) -> None:
@@ -319,6 +326,9 @@ def test_a_change_is_entered_decided_and_stands_in_the_life_of_its_path(
 
     assert run("changes") == "no changes\n"
     where = ("--station", "CS001", "--antenna", "0")
+    ramp = ("--kind", "ramp", "--size", "0.04", "--reason", "it ages")
+    refused = CliRunner().invoke(app, ["changes", "enter", "2014-05-01", *where, *ramp])
+    assert (type(refused.exception), "--size-sigma" in str(refused.exception)) == (BadInputError, True)
     run("changes", "enter", "2014-05-01", *where, "--sigma-days", "2", "--reason", "an amplifier")
     assert run("changes", *where).startswith(
         "1 CS001 antenna 0, step at 2014-05-01 ± 2.0 d (in force, not yet refitted"
