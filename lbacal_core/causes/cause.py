@@ -385,6 +385,10 @@ class Cause(Description):
         """Sizes that a template may take."""
         return self.sizes
 
+    def is_physical(self, conditions: Conditions, template: Template, size: float, sigma: float) -> bool:  # noqa: ARG002
+        """Whether a size found without limits is possible in some data."""
+        return self.sizes_of(template).allows(size, sigma)
+
     def scale(self, terms: ChainTerms) -> float:  # noqa: ARG002
         """Size in the unit of the cause that 1 in `sizes` stands for."""
         return 1.0

@@ -21,7 +21,7 @@ import numpy as np
 
 from lbacal_core.causes.antenna import DipoleSwap
 from lbacal_core.causes.axes import DAY_S
-from lbacal_core.causes.cause import RAIN, SCOPES, TEMPERATURE, YEAR_S, Cause, Conditions, SizeRange, Template
+from lbacal_core.causes.cause import BEYOND_SIGMA, RAIN, SCOPES, TEMPERATURE, YEAR_S, Cause, Conditions, Template
 from lbacal_core.causes.sky import NO_DIRECTIONS, SOURCE_KEYS, PointSource, SolarEmission
 from lbacal_core.errors import BadInputError
 from lbacal_core.foreign import write_instant
@@ -704,6 +704,8 @@ class Place:
         Whether one polarisation alone does not tell it from another place.
     is_there
         Whether some data can show it.
+    ends
+        The least and the largest change that are physical.
     """
 
     act: Act
@@ -713,11 +715,19 @@ class Place:
     moves: bool = False
     needs_both: bool = False
     is_there: Callable[[Conditions], bool] = lambda _: True
+    ends: tuple[float, float] = (-np.inf, np.inf)
 
+
+DOWN_TO_NOTHING = (-1.0, np.inf)
+"""Changes of a gain, a noise or a power, none of which is negative."""
 
 PLACES: dict[str, Place] = {
     "sky": Place(
-        _scale("sky"), "the power of the sky changes", "P_sky -> P_sky (1 + {0})", "compare with a station elsewhere"
+        _scale("sky"),
+        "the power of the sky changes",
+        "P_sky -> P_sky (1 + {0})",
+        "compare with a station elsewhere",
+        ends=DOWN_TO_NOTHING,
     ),
     "antenna": Place(
         _add_to_sky,
@@ -730,30 +740,35 @@ PLACES: dict[str, Place] = {
         "the gain in front of the receiver's noise changes",
         "G_ant A L_coax -> G_ant A L_coax (1 + {0})",
         "feed a tone into the cable of an antenna, and another into its receiver",
+        ends=DOWN_TO_NOTHING,
     ),
     "receiver": Place(
         _scale("receiver_noise"),
         "the noise of the receiver changes",
         "N_RCU -> N_RCU (1 + {0})",
         "terminate the input of a receiver and watch its noise",
+        ends=DOWN_TO_NOTHING,
     ),
     "behind": Place(
         _scale("front", "receiver_noise"),
         "the gain of the receiver changes",
         "G_RCU -> G_RCU (1 + {0})",
         "feed a tone into a receiver and watch it through the same course",
+        ends=DOWN_TO_NOTHING,
     ),
     "converter": Place(
         _scale("adc_noise"),
         "the noise of the converter changes",
         "N_ADC -> N_ADC (1 + {0})",
         "switch the receivers off and watch what the converter counts",
+        ends=DOWN_TO_NOTHING,
     ),
     "record": Place(
         _scale("front", "receiver_noise", "adc_noise"),
         "all of the recorded power changes",
         "P -> P (1 + {0})",
         "look for a change of the scaling in the digital processing",
+        ends=DOWN_TO_NOTHING,
     ),
     "polarisation": Place(
         _scale_apart,
@@ -761,6 +776,7 @@ PLACES: dict[str, Place] = {
         "P_sky -> P_sky (1 ± {0}), + in the first polarisation",
         "survey the azimuths of the arms, and follow the cable of each dipole to its receiver",
         needs_both=True,
+        ends=(-1.0, 1.0),
     ),
     "letters": Place(
         lambda terms, c, change: DipoleSwap().act(terms, c, Template(), change),
@@ -822,7 +838,6 @@ class Sentence(Cause):
     meaning: str = "a plain sentence of place, law and course"
     confirm: str = "look for what follows this course at this place"
     scopes: Sequence[str] = SCOPES
-    sizes: SizeRange = SizeRange(-1.0, 10.0)
     spectral_parameters: Sequence[str] = ("place", "law")
     share_of_step: float = 1.0
 
@@ -842,6 +857,20 @@ class Sentence(Cause):
         """Its place changes by the amount times its law."""
         change = amount * law_of(conditions, _as_form(template.parameters["law"]))
         return PLACES[template.parameters["place"]].act(terms, conditions, change)
+
+    def is_physical(
+        self, conditions: Conditions, template: Template, size: float, sigma: float, *, is_first_order: bool = False
+    ) -> bool:
+        """Whether what it describes stays physical in all of the data; the error may have carried the size beyond.
+
+        A size to first order is relative to chains that took up the mean of the change.
+        """
+        place, law, course = parts_of(template)
+        in_time = course_of(conditions, course)
+        least = np.sign(size) * max(abs(size) - BEYOND_SIGMA * sigma, 0.0)
+        change = least * np.outer(in_time - is_first_order * in_time.mean(), law_of(conditions, law))
+        lowest, highest = PLACES[place].ends
+        return bool(change.min() >= lowest and change.max() <= highest)
 
     def split_factor(self, conditions: Conditions, template: Template) -> tuple[Template, Floats]:
         """The same place alike at all frequencies, and the law, shape (freq,).

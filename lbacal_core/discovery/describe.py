@@ -152,9 +152,8 @@ def describe_structure(
     seen += [also] if also is not None and all(one.label != also.label for one in seen) else []
     if not seen:
         return Description()
-    likely = [_without_idle(model, one, len(targets)) for one in _search(model.linear, seen, targets, said)]
-    likely = _best_of_places(best_of_families(likely))
-    order = sorted(_fit_likely(model, likely), key=lambda one: -one[0].log_odds)
+    likely = _search(model.linear, seen, targets, said)
+    order = sorted(_fit_likely(model, likely, len(targets)), key=lambda one: -one[0].log_odds)
     certain = [one for one, _ in order if one.log_odds > CERTAIN and one.held_out_gain > 0.0]
     if not certain:
         return Description()
@@ -187,7 +186,7 @@ def _search(
     found = score_sentences(model, [whole], spectra, likely, choices)
     moving = [name for name in places_of(whole, conditions) if PLACES[name].moves]
     found += score_sentences(model, [whole], list(product(moving, rough_laws(conditions))), [("always",)], choices)
-    single = best_of_families(found)
+    single = _best_physical(model, found)
     found = list(single)
     for one in single[:KEPT]:
         place, law, course = parts_of(one.template)
@@ -196,22 +195,32 @@ def _search(
     for hypothesis in said:
         place, law, course = parts_of(hypothesis.template)
         found += score_sentences(model, [hypothesis.target], [(place, law)], [course], choices)
-    for one in best_of_families(found)[:KEPT]:
+    for one in _best_physical(model, found)[:KEPT]:
         found += score_gated(model, [one.target], one, choices)
-    pool = [refine_sentence(model, one) for one in best_of_families(found)[:KEPT]]
+    pool = [refine_sentence(model, one) for one in _best_physical(model, found)[:KEPT]]
     tried = list[Template]()
     while len(tried) < ROUNDS:
-        best = best_of_families(pool)
+        best = _best_physical(model, pool)
         known = {own.family: own.gain for own in best}
         start = next((own for own in _best_of_places(best) if own.template not in tried), None)
         if start is None:
             break
         tried.append(start.template)
-        varied = best_of_families([*vary_sentence(model, start, choices), *estimate_sentence(model, start, choices)])
+        others = [*vary_sentence(model, start, choices), *estimate_sentence(model, start, choices)]
+        varied = _best_physical(model, others)
         worth = [other for other in varied[:REFINED] if other.gain > known.get(other.family, SHARE * varied[0].gain)]
         pool += [refine_sentence(model, other) for other in worth]
     lasting = [one for one in pool if _count_events(conditions, one.template) >= FEWEST_EVENTS]
-    return _best_of_places(best_of_families(lasting))[:FITTED]
+    return _best_physical(model, lasting)
+
+
+def _best_physical(model: LinearModel, scored: Sequence[ScoredSentence]) -> list[ScoredSentence]:
+    """The best of each family whose size to first order is physical, the likeliest first."""
+    conditions, hypotheses = model.station.conditions, [one.hypothesis for one in scored]
+    is_physical = [
+        SENTENCE.is_physical(conditions, one.template, one.size, one.sigma, is_first_order=True) for one in hypotheses
+    ]
+    return best_of_families([one for one, possible in zip(scored, is_physical, strict=True) if possible])
 
 
 def _count_events(conditions: Conditions, template: Template) -> float:
@@ -244,23 +253,36 @@ def _without_idle(model: FittedModel, one: ScoredSentence, choices: int) -> Scor
     return one
 
 
-def _fit_likely(before: FittedModel, likely: Sequence[ScoredSentence]) -> list[tuple[Described, FittedModel]]:
-    """Fit the sentences that are hardly less likely than the first that no size makes run away."""
-    fitted, least = list[tuple[Described, FittedModel]](), -np.inf
+def _fit_likely(
+    before: FittedModel, likely: Sequence[ScoredSentence], choices: int
+) -> list[tuple[Described, FittedModel]]:
+    """Fit the likeliest sentence of each place and target, of those hardly less likely than the first that has a size.
+
+    Where one has none, the next of its place takes its turn.
+    """
+    fitted: dict[tuple[str, str], tuple[Described, FittedModel]] = {}
+    least = -np.inf
     for one in likely:
-        found = _fit(before, one) if one.gain > least else None
+        place = one.target.label, parts_of(one.template)[0]
+        if len(fitted) == FITTED or one.gain <= least:
+            break
+        shorter = one if place in fitted else _without_idle(before, one, choices)
+        found = None if place in fitted or shorter.gain <= least else _fit(before, shorter)
         if found is not None:
-            fitted.append(found)
-            least = max(least, one.gain - 2.0 * FITTED_WITHIN)
-    return fitted
+            fitted[place] = found
+            least = max(least, shorter.gain - 2.0 * FITTED_WITHIN)
+    return list(fitted.values())
 
 
 def _fit(before: FittedModel, one: ScoredSentence) -> tuple[Described, FittedModel] | None:
-    """The sentence fitted with the chain, and the model with it; None where no size fits."""
+    """The sentence fitted with the chain, and the model with it; None where no size that is physical fits."""
     after = refit(before, Hypothesis(SENTENCE, one.template, one.target, one.size))
     if after is None:
         return None
     hypothesis = after.hypotheses[-1]
+    conditions = before.station.conditions
+    if not SENTENCE.is_physical(conditions, hypothesis.template, hypothesis.size, hypothesis.uncertainty):
+        return None
     held_out = held_out_gain(before, hypothesis, [hypothesis.template])
     return Described(hypothesis, gain_in_chi_squared(before, after), one.length, held_out), after
 

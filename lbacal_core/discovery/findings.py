@@ -285,7 +285,8 @@ def chance_of(score: Score) -> float:
 
 def _is_possible(model: FittedModel) -> bool:
     """Whether the sizes of all hypotheses lie in their physical ranges."""
-    return all(one.cause.sizes_of(one.template).allows(one.size, one.uncertainty) for one in model.hypotheses)
+    conditions = model.station.conditions
+    return all(one.cause.is_physical(conditions, one.template, one.size, one.uncertainty) for one in model.hypotheses)
 
 
 def _rivals(scores: Sequence[Score], policy: Policy) -> list[Score]:

@@ -137,6 +137,19 @@ def test_what_is_estimated_is_a_sum_over_its_largest_value(conditions):
     np.testing.assert_allclose(law_of(conditions, (CURVE, 1.0, -0.5))[0, 0], (1 - 0.5 * tilt) / 1.5)
 
 
+def test_no_gain_and_no_noise_falls_below_nothing(conditions):
+    """A converter's noise fell by 56 of itself, where the sky was absorbed in a band."""
+    wave, tilted = sentence("converter", ("flat",), ("wave", SOLAR, 1, 0.0)), sentence("sky", ("tilt",), ("always",))
+    for template in (wave, tilted):
+        assert SENTENCE.is_physical(conditions, template, 0.9, 0.01)
+        assert not SENTENCE.is_physical(conditions, template, 1.9, 0.01)
+        assert SENTENCE.is_physical(conditions, template, 1.9, 0.4), "the error may have carried it"
+    since = sentence("converter", ("flat",), next(one for one in list_courses(conditions)[10:] if one[0] == "step"))
+    assert SENTENCE.is_physical(conditions, since, 35.0, 0.1), "noise grows without an end"
+    assert not SENTENCE.is_physical(conditions, since, -1.1, 0.01)
+    assert SENTENCE.is_physical(conditions, since, -1.1, 0.01, is_first_order=True), "relative to a mean that fell"
+
+
 @pytest.mark.parametrize("course", [["series", "UTC", 1.0], ["series", "moon", 1.0, 0.0], ["series", "LST", 0.0, 0.0]])
 def test_a_series_without_pairs_of_numbers_or_a_clock_is_refused(course):
     with pytest.raises(BadInputError, match="a place of sky, antenna, front"):

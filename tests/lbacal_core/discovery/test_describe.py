@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.causes.catalogue import CAUSES, FORMAT, NamedSentence, catalogue_with
-from lbacal_core.causes.grammar import course_of, law_of, parts_of, sentence
+from lbacal_core.causes.grammar import Sentence, course_of, law_of, parts_of, sentence
 from lbacal_core.causes.model import Model
 from lbacal_core.discovery import describe, sentences
 from lbacal_core.discovery.describe import (
@@ -90,9 +90,23 @@ def test_where_the_likeliest_sentence_runs_away_the_next_is_said(spoil, simulati
     model = fit_chain(station)
     likely = likeliest_sentences(model.linear, list_targets(station)[-1], 1)[0]
     wild = replace(likely, size=50.0, z=2.0 * likely.z)
-    ((said, _),) = _fit_likely(model, [wild, likely])
+    ((said, _),) = _fit_likely(model, [wild, likely], 1)
     size = abs(said.hypothesis.size)  # on working days more, or on weekends less: rounding decides which is said
     assert abs(size - 0.08) < 4 * said.hypothesis.sigma
+
+
+def test_where_a_noise_would_fall_below_nothing_the_next_of_its_place_is_said(spoil, simulation, monkeypatch):
+    """A receiver lost 1.9 of its noise: behind it, a likely sentence of the same place was not fitted."""
+    model = fit_chain(gather_stations(spoil(WorkingWeek(size=0.08)), simulation)[0])
+    following = likeliest_sentences(model.linear, list_targets(model.station)[-1], 1)[0]
+    place, _, course = parts_of(following.template)
+    wild = replace(following, template=sentence(place, ("tilt",), course), size=-1.9, z=2.0 * following.z)
+    negative = replace(wild, template=sentence("receiver", ("flat",), ("step", "2014-12-01")), size=-1.9)
+    assert describe._best_physical(model.linear, [negative, following]) == [following]
+    can_be = Sentence.is_physical
+    monkeypatch.setattr(Sentence, "is_physical", lambda *a, **k: a[2] != wild.template and can_be(*a, **k))
+    ((said, _),) = _fit_likely(model, [wild, following], 1)
+    assert said.hypothesis.template == following.template
 
 
 @pytest.mark.long
