@@ -121,28 +121,32 @@ class Conditions:
             is_known &= np.isfinite(self.covariates[name])
         return is_known
 
-    def warmth(self, delay_h: float = 0.0) -> Floats:
+    def warmth(self, delay_h: float = 0.0, memory_h: float = 0.0) -> Floats:
         """(Temperature - `REFERENCE_C`) / 10 K, shape (event, 1); 0 where it is not known.
 
         A delayed temperature is the one measured now, moved by the fitted diurnal wave of the season: events are hours
-        to days apart, so that the record itself cannot be shifted.
+        to days apart, so that the record itself cannot be shifted. One with a memory is that of a body which takes it
+        on as 1 - exp(-t / memory): a diurnal wave is late and small in it.
         """
         values = self.covariates[TEMPERATURE]
         is_known = np.isfinite(values)
         measured = (values - REFERENCE_C) / 10.0
-        if delay_h != 0.0:
-            now, earlier = self._diurnal_waves(0.0), self._diurnal_waves(delay_h)
+        if delay_h or memory_h:
+            now, earlier = self._diurnal_waves(0.0, 0.0), self._diurnal_waves(delay_h, memory_h)
             amplitude = fit_least_squares(now[is_known], measured[is_known])
             measured = measured + (earlier - now) @ amplitude
         return np.asarray(np.where(is_known, measured, 0.0)[:, None])
 
-    def _diurnal_waves(self, delay_h: float) -> Floats:
+    def _diurnal_waves(self, delay_h: float, memory_h: float) -> Floats:
         """Constant, season, and first two harmonics of the day with a seasonal amplitude, shape (event, 11)."""
         day = 2 * np.pi * (self.utc_hours - delay_h) / 24.0
         year = 2 * np.pi * self.time_unix / YEAR_S
         season = [np.ones_like(year), np.cos(year), np.sin(year)]
-        waves = [np.cos(day), np.sin(day), np.cos(2 * day), np.sin(2 * day)]
-        return np.stack([*season, *(wave * s for wave in waves[:2] for s in season), *waves[2:]], axis=1)
+        lags = [np.arctan(2 * np.pi * number * memory_h / 24.0) for number in (1, 2)]
+        (cos, sin), twice = (
+            [np.cos(lag) * wave(number * day - lag) for wave in (np.cos, np.sin)] for number, lag in enumerate(lags, 1)
+        )
+        return np.stack([*season, *(wave * s for wave in (cos, sin) for s in season), *twice], axis=1)
 
     def wetness(self, kind: str) -> Floats:
         """0 when dry, shape (event, 1): 1 in any rain (``flag``), mm/h (``linear``) or its tanh (``saturating``).

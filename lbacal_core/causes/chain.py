@@ -90,7 +90,8 @@ class TemperatureCause(Cause):
 
     def time_profile(self, conditions: Conditions, template: Template) -> Floats:
         """Temperature about its mean, per 10 K, shape (event, 1)."""
-        return conditions.warmth(template.parameters.get("delay_h", 0.0))
+        own = template.parameters
+        return conditions.warmth(own.get("delay_h", 0.0), own.get("memory_h", 0.0))
 
 
 @dataclass(frozen=True)
@@ -180,8 +181,11 @@ class GainTemperature(TemperatureCause):
         return [Template({"delay_h": delay}) for delay in (0.0, 1.0, 2.0, 3.0)] if known else []
 
     def finer_templates(self, conditions: Conditions, template: Template) -> list[Template]:  # noqa: ARG002
-        """Delays by half hours."""
-        return [Template({"delay_h": 0.5 * k}) for k in range(7)]
+        """Delays by half hours, and a memory in which a diurnal wave is half of itself.
+
+        In a longer one it hardly shows: what is left is the season, which two steps of a gain in a year are as well.
+        """
+        return [*(Template({"delay_h": 0.5 * k}) for k in range(7)), Template({"memory_h": 6.0})]
 
 
 @dataclass(frozen=True)

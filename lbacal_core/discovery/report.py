@@ -358,6 +358,7 @@ WORDS = {
     "phase_deg": "phase {:.0f} deg",
     "model": "by a model of the {} of the gain",
     "delay_h": "{:g} h late",
+    "memory_h": "with a memory of {:g} h or more",
     "exponent": "exponent {:g}",
     "spectral_index": "spectral index {:g}",
     "frequency_mhz": "at {:g} MHz",

@@ -168,6 +168,25 @@ def test_a_later_temperature_is_that_of_the_fitted_day(conditions):
     np.testing.assert_allclose(10 * own.warmth(2.0)[:, 0] + 10.0, warm_at(2), atol=1e-6)
 
 
+@pytest.mark.parametrize("memory_h", [6.0, 24.0])
+def test_a_body_with_a_memory_follows_the_day_as_its_equation_says(memory_h, conditions):
+    """A gain with a memory of 30 h was said to be 2.5 h late, and a fifth too small."""
+    assert Template({"memory_h": 6.0}) in NAMED["gain_temperature"].finer_templates(conditions, Template())
+    hours = np.random.default_rng(0).uniform(0.0, 24 * 200, 200)
+    often = np.arange(-24 * 20, 24 * 201, 0.05)
+    air = 10 + 5 * np.cos(2 * np.pi * often / 24) - np.sin(4 * np.pi * often / 24)
+    body = [10.0]
+    for now in air[1:]:
+        body.append(body[-1] + (now - body[-1]) * 0.05 / memory_h)
+    own = replace(
+        conditions,
+        utc_hours=hours % 24,
+        time_unix=1.39e9 + 3600 * hours,
+        covariates={"temperature_c": np.interp(hours, often, air)},
+    )
+    np.testing.assert_allclose(10 * own.warmth(0.0, memory_h)[:, 0] + 10.0, np.interp(hours, often, body), atol=0.03)
+
+
 def test_a_ratio_is_that_of_the_sky_computed_anew():
     """Widths of the pattern and sources are linear in the size; what is computed at one size holds at another."""
     instrument = load_instrument("lofar-superterp").at_station("CS002")
