@@ -194,7 +194,7 @@ LAWS: dict[str, Kind] = {
         "as the receiver's filter moves (size per MHz)",
         "d ln G_RCU / d nu",
     ),
-    "cable": Kind(lambda c: c.cable_log_loss, _once, "as the cable's loss in dB", "ln L_coax"),
+    "cable": Kind(lambda c: c.cable_log_loss, _once, "as if the cable's loss in dB grew by this share", "ln L_coax"),
     CURVE: Kind(
         lambda c, *numbers: _scaled(_polynomials(c, len(numbers)), numbers),
         _never,
@@ -398,7 +398,7 @@ COURSES: dict[str, Kind] = {
     "ramp": Kind(
         lambda c, middle: (c.time_unix - _unix(middle)) / YEAR_S,
         lambda c: [(write_instant(c.time_unix.mean()),)] if c.has_dates else [],
-        "rising with time (size per year)",
+        "linearly with time (size per year)",
         "(t - {0}) / yr",
     ),
     "wave": Kind(_wave, _waves, "", "cos 2 pi {1:g} ({0} - {2:.3g})", (0.0, 0.0, 1 / 12)),

@@ -367,6 +367,16 @@ def test_a_law_of_the_chain_is_the_derivative_of_its_curve(conditions, terms):
     np.testing.assert_allclose(found[0, 0, 2:-2], front[0, 0, 2:-2], rtol=2e-3)
 
 
+def test_words_have_the_sign_of_what_happens(conditions, terms):
+    """A gain that fell "rises with time, as the cable's loss in dB: 1.3"."""
+    template = sentence("behind", ("cable",), ("ramp", "2014-07-01"))
+    assert in_words(template).endswith(
+        "as if the cable's loss in dB grew by this share, linearly with time (size per year)"
+    )
+    lossy = replace(conditions, cable_log_loss=-np.abs(conditions.cable_log_loss) - 0.01)
+    assert np.all(SENTENCE.apply(terms, lossy, sentence("behind", ("cable",), ("always",)), 0.5).front < terms.front)
+
+
 def test_every_course_varies_along_an_axis_of_the_data(conditions):
     wind = conditions.with_covariates(wind_m_s=np.linspace(0.0, 20.0, 200))
     known = {name for axis in list_axes(wind) for name in (axis.name, axis.column)}
