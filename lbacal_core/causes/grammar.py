@@ -401,6 +401,12 @@ COURSES: dict[str, Kind] = {
         "linearly with time (size per year)",
         "(t - {0}) / yr",
     ),
+    "since": Kind(
+        lambda c, at: np.maximum(c.time_unix - _unix(at), 0.0) / YEAR_S,
+        lambda c: [(write_instant(at),) for at in c.step_dates(40)] if c.has_dates else [],
+        "linearly with time from {0} on (size per year)",
+        "max(t - {0}, 0) / yr",
+    ),
     "wave": Kind(_wave, _waves, "", "cos 2 pi {1:g} ({0} - {2:.3g})", (0.0, 0.0, 1 / 12)),
     "cycle": Kind(_cycle, _cycles, "", "cos 2 pi (t / {0:g} d - {1:.3g})", (CYCLES_PER_STEP, 1 / 6)),
     SERIES: Kind(_series, _never, "", ""),
@@ -588,7 +594,11 @@ def finer(kinds: Mapping[str, Kind], form: Form, conditions: Conditions, share: 
         first, second = (finer(kinds, own, conditions, share) for own in (one, other))
         return [*((PRODUCT, same, other) for same in first), *((PRODUCT, one, same) for same in second[1:])]
     moved: list[Form] = []
-    if form[0] in ("step", "between"):  # in the middle of a gap between events: an effect begins anywhere in it
+    if form[0] in (
+        "step",
+        "since",
+        "between",
+    ):  # in the middle of a gap between events: an effect begins anywhere in it
         gaps = pairwise(conditions.dates_about(_unix(form[1])))
         moved += [(form[0], write_instant(sum(pair) / 2.0), *form[2:]) for pair in gaps]
     moved += [(*form[:2], level) for level in _levels(conditions, form)]
@@ -621,7 +631,7 @@ def is_of_dates(course: Sequence[Any]) -> bool:
     """Whether a course is one of dates or of the number of an event, which do not recur, or of the season."""
     if course[0] == PRODUCT:
         return is_of_dates(course[1]) or is_of_dates(course[2])
-    return course[0] in ("step", "between", "ramp", "every") or (
+    return course[0] in ("step", "since", "between", "ramp", "every") or (
         course[0] in ("wave", "near", SERIES) and course[1] == YEAR
     )
 
@@ -951,7 +961,7 @@ def _check(kinds: Mapping[str, Kind], form: Form) -> None:
         _check(kinds, other)
         return
     signature(kinds[name].values).bind(None, *numbers)
-    if name in ("step", "between", "ramp"):
+    if name in ("step", "since", "between", "ramp"):
         _unix(numbers[0])
     if (name == SERIES and len(numbers) % 2 != 1) or (name in (SERIES, CURVE) and not any(numbers[1:])):
         raise ValueError(numbers)

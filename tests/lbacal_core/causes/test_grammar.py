@@ -273,6 +273,19 @@ def test_a_date_lies_in_the_middle_between_two_events(conditions):
     np.testing.assert_allclose(dates, 0.5 * (times[k - 1] + times[k]), atol=1.0)
 
 
+def test_a_slope_may_begin_at_a_date(conditions):
+    """A gain that faded in autumn was two steps, each of them named."""
+    begins = [one for one in list_courses(conditions) if one[0] == "since"]
+    assert len(begins) == 40
+    slope, step = (course_of(conditions, (name, begins[20][1])) for name in ("since", "step"))
+    times = conditions.time_unix / DAY_S / 365.25
+    later = step > 0
+    np.testing.assert_allclose(np.diff(slope[later]), np.diff(times[later]), atol=1e-9)
+    assert not np.any(slope[~later])
+    moved = finer(COURSES, begins[20], conditions)
+    assert [one[1] for one in moved] == [one[1] for one in finer(COURSES, ("step", begins[20][1]), conditions)]
+
+
 def test_a_sentence_and_its_opposite_say_the_same_with_the_other_sign(conditions, terms):
     template = sentence("front", ("flat",), ("wave", "UTC", 2, 1 / 3))
     turned = opposite(template)
@@ -316,6 +329,7 @@ def test_a_model_carries_a_sentence_as_text_and_back(conditions, terms):
     [
         (("step", "2014-07-01T00:00:00Z"), True),
         (("ramp", "2014-07-01T00:00:00Z"), True),
+        (("since", "2014-07-01T00:00:00Z"), True),
         (("wave", "year", 1, 0.2), True),
         ((PRODUCT, ("day",), ("step", "2014-07-01T00:00:00Z")), True),
         (("wave", "week", 1, 0.2), False),
