@@ -195,6 +195,19 @@ def test_absorption_in_some_nights_of_a_solar_rotation_is_a_product_of_two_cours
 
 
 @pytest.mark.long
+def test_a_slope_since_a_date_is_said_at_once_and_not_as_five_causes(clean, simulation):
+    """It was two steps, two changes of the converter's noise and a filter that moves, which left nothing."""
+    late = np.clip((clean.time_unix - 1410000000.0) / 31557600.0, 0.0, None)  # 2014-09-06
+    fades = np.where(clean.antenna == 3, 1.0 - 0.4 * late, 1.0)[:, None]
+    report, (found,) = investigate(replace(clean, power=clean.power * fades), simulation)
+    assert (report["verdict"], report["findings"]) == ("unexplained", [])
+    first = report["unexplained"]["sentences"][0]
+    assert (first["target"], first["parameters"]["course"][0]) == ("antenna 3", "since")
+    assert first["size"]["value"] == pytest.approx(-0.4, abs=0.06)
+    assert len(found.similar) > 1
+
+
+@pytest.mark.long
 def test_a_wave_of_a_period_that_no_clock_has_is_said_with_it(spoil, simulation):
     """6 % in waves of 47 days in one antenna were 23 days in February, and structure of another antenna."""
     wave = Composed(
