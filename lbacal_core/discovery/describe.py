@@ -9,7 +9,7 @@ what they gain on unseen events.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise, product
 
 import numpy as np
@@ -34,6 +34,7 @@ from lbacal_core.discovery.sentences import (
     list_ripples,
     places_of,
     refine_sentence,
+    scatter_by_numbers,
     score_gated,
     score_sentences,
     vary_sentence,
@@ -284,6 +285,7 @@ def _fit(before: FittedModel, one: ScoredSentence) -> tuple[Described, FittedMod
     if not SENTENCE.is_physical(conditions, hypothesis.template, hypothesis.size, hypothesis.uncertainty):
         return None
     held_out = held_out_gain(before, hypothesis, [hypothesis.template])
+    hypothesis = replace(hypothesis, template_sigma=scatter_by_numbers(before.linear, one))
     return Described(hypothesis, gain_in_chi_squared(before, after), one.length, held_out), after
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise, product
+from itertools import chain, pairwise, product
+from typing import Any
 
 import numpy as np
 
@@ -201,6 +202,34 @@ def refine_sentence(model: LinearModel, one: ScoredSentence) -> ScoredSentence:
         if turned is not None:
             (one,) = _score_alike(model, one, [turned])
     return _score_exactly(model, _round_delay(model, one))
+
+
+def scatter_by_numbers(model: LinearModel, one: ScoredSentence) -> float:
+    """Scatter of the size of a sentence over the numbers that the data leave open, as a fraction of the size.
+
+    A number of an error s, whose change by p costs (p / s)^2 in chi^2 and changes the size by b p, adds (b s)^2: the
+    square of the change of size over that of chi^2, no more than the largest change tried.
+    """
+    conditions = model.station.conditions
+    moved = [Sentence(share_of_step=share).finer_templates(conditions, one.template) for share in set(SHARES_OF_STEP)]
+    there, *others = _score_alike(model, one, [one.template, *chain.from_iterable(moved)])
+    changes: dict[tuple[int, ...], list[tuple[float, float]]] = {}
+    for other in others:
+        pairs = zip(_flat(parts_of(there.template)), _flat(parts_of(other.template)), strict=True)
+        which = tuple(k for k, (own, tried) in enumerate(pairs) if own != tried)
+        changes.setdefault(which, []).append((there.z**2 - other.z**2, other.size / there.size - 1.0))
+    scatter = 0.0
+    for which, tried in changes.items():
+        if len(which) == 1 or not all((k,) in changes for k in which):  # of two that move together, each by itself
+            cost, square = sum(loss for loss, _ in tried), sum(change**2 for _, change in tried)
+            most = max(change**2 for _, change in tried)
+            scatter += min(square / cost, most) if cost > 0.0 else most
+    return float(scatter**0.5)
+
+
+def _flat(form: Form) -> list[Any]:
+    """Names and numbers of a form one after the other."""
+    return list(chain.from_iterable(_flat(one) if isinstance(one, tuple) else [one] for one in form))
 
 
 def _round_delay(model: LinearModel, one: ScoredSentence) -> ScoredSentence:

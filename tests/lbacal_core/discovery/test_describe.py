@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.causes.catalogue import CAUSES, FORMAT, NamedSentence, catalogue_with
+from lbacal_core.causes.cause import signature
 from lbacal_core.causes.grammar import Sentence, course_of, law_of, parts_of, sentence
 from lbacal_core.causes.model import Model
 from lbacal_core.discovery import describe, sentences
@@ -25,8 +26,16 @@ from lbacal_core.discovery.refit import fit_chain
 from lbacal_core.discovery.report import _said, investigate
 from lbacal_core.discovery.residual_structure import find_structure, strongest_structure
 from lbacal_core.discovery.search import search_station
-from lbacal_core.discovery.sentences import ScoredSentence, estimate_sentence, likeliest_sentences, score_gated
+from lbacal_core.discovery.sentences import (
+    SENTENCE,
+    ScoredSentence,
+    estimate_sentence,
+    likeliest_sentences,
+    scatter_by_numbers,
+    score_gated,
+)
 from lbacal_core.discovery.station import gather_stations
+from lbacal_core.foreign import write_instant
 from lbacal_twin.campaign import simulate_campaign
 from lbacal_twin.faults.composed import Composed
 from lbacal_twin.faults.fault import Where
@@ -205,6 +214,27 @@ def test_a_slope_since_a_date_is_said_at_once_and_not_as_five_causes(clean, simu
     assert (first["target"], first["parameters"]["course"][0]) == ("antenna 3", "since")
     assert first["size"]["value"] == pytest.approx(-0.4, abs=0.06)
     assert len(found.similar) > 1
+
+
+@pytest.mark.long
+def test_the_error_of_a_size_holds_what_the_numbers_of_its_sentence_leave_open(clean, simulation):
+    """A slope since a date, against a fit of its size and its date together."""
+    at = 1406000000.0  # 2014-07-22
+    fades = np.where(clean.antenna == 5, 1.0 - 0.3 * np.clip((clean.time_unix - at) / 31557600.0, 0.0, None), 1.0)
+    model = fit_chain(gather_stations(replace(clean, power=clean.power * fades[:, None]), simulation)[0]).linear
+    target = next(one for one in list_targets(model.station) if one.label == "antenna 5")
+    days = np.arange(-40, 41, 5) * 86400.0
+    dated = [sentence("record", ("flat",), ("since", write_instant(at + own))) for own in days]
+    shown = [signature(SENTENCE, model.terms, model.station.conditions, one) for one in dated]
+    score, information = model.products(shown, [target] * len(dated))
+    best = int(np.argmax(score**2 / np.diag(information)))
+    moved = [shown[best], shown[best + 2] - shown[best - 2]]
+    _, together = model.products(moved, [target, target])
+    alone, by_both = together[0, 0] ** -0.5, np.linalg.inv(together)[0, 0] ** 0.5
+    assert by_both > 1.3 * alone
+    size = score[best] / information[best, best]
+    scatter = scatter_by_numbers(model, ScoredSentence(dated[best], target, size / alone, size, 0.0))
+    assert np.hypot(alone, scatter * size) == pytest.approx(by_both, rel=0.25)
 
 
 @pytest.mark.long
