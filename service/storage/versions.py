@@ -125,8 +125,11 @@ BUDGET = "budget"
 """The input that names a budget which was not computed from the version's own spectra and those around them."""
 OF_OTHERS = (BESIDE, BEHIND, BUDGET)
 """The inputs that other fits lend: what they are made of differs from fit to fit, however little C does."""
-OF_SIMULATION = ("instrument", "model_version", "settings", "sky_power", "model")
-"""The inputs that are no data."""
+OF_SIMULATION = {
+    "instrument": "another instrument", "sky_power": "another sky power", "model_version": "another model version",
+    "settings": "other settings", "model": "other causes adopted",
+}  # fmt: skip
+"""The inputs that are no data, with what is said where one is another."""
 CURVES_REMEMBERED = 1200
 """Versions whose curves stay in memory: those of all paths of the Superterp in two years, about 40 MB."""
 
@@ -473,7 +476,11 @@ def _has_newer() -> ColumnElement[bool]:
 def _is_promoted_since(instant: ColumnElement[int]) -> ColumnElement[bool]:
     """Whether another version of the same scope was put into effect at an instant after a version was made."""
     lasts = or_(promotion.c.valid_to_us.is_(None), promotion.c.valid_to_us > instant)
-    later = promotion.c.scope == calibration.c.scope, promotion.c.at_us > calibration.c.made_us
+    later = (
+        promotion.c.scope == calibration.c.scope,
+        promotion.c.at_us > calibration.c.made_us,
+        promotion.c.calibration.is_not(None),
+    )
     return select(promotion.c.id).where(*later, promotion.c.valid_from_us <= instant, lasts).exists()
 
 

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from lbacal.instants import DAY_US, SECOND_US, format_instant
-from lbacal_core.curves.validity import Instant, Scope
+from lbacal_core.curves.validity import Instant, Promotion, Scope
 from lbacal_core.errors import name_path
 from lbacal_core.provenance import canonical_json, hash_content
 from lbacal_core.simulation.simulation import Simulation
@@ -31,6 +31,7 @@ from service.storage.database import Database, Stores
 from service.storage.jobs import Order, Part
 from service.storage.models import ModelChange
 from service.storage.processes import SCHEDULER
+from service.storage.versions import OF_SIMULATION
 from service.usecases.drift import find_years, year_of
 from service.usecases.drift_measurement import KIND as DRIFT
 from service.usecases.drift_measurement import find_references
@@ -41,7 +42,7 @@ from service.usecases.investigations import Investigations
 from service.usecases.orders import Inputs, name_inputs
 from service.usecases.refits import KIND as REFIT
 from service.usecases.refits import describe_part
-from service.usecases.retractions import end_empty
+from service.usecases.retractions import withdraw_retracted
 from service.usecases.watch import KIND as WATCH
 from service.usecases.watch import Watch
 
@@ -72,7 +73,7 @@ class DueWork:
         with self.database.write() as stores:
             stores.jobs.drop_outdated(self._inputs.text, self.clock())
             judge_far(stores)
-            stores.ledger.append(end_empty(stores), self.clock)
+            stores.ledger.append(_end_empty(stores), self.clock)
         with self.database.read() as stores:
             orders = [*self._refits(stores), *self._drift(stores)]
             called = {one.due_name for one in orders}
@@ -230,6 +231,20 @@ class DueWork:
         return name_inputs(self.simulation)
 
 
+def _end_empty(stores: Stores) -> list[Promotion]:
+    """Forget what is kept of windows of which every event is flagged, and withdraw what due work promoted there."""
+    found = list[Promotion]()
+    for since, until in find_years(stores):
+        if not stores.spectra.last_flag(since, until):
+            continue
+        held = set(stores.spectra.contents(since, until))
+        stations: list[str | None] = [one for one in stores.spectra.stations() if one not in held]
+        for station in stations if held else [*stations, None]:
+            stores.sums.forget(Scope(station), since, until)
+            found += withdraw_retracted(stores, stores.spectra.scopes_of(station), since, until)
+    return found
+
+
 def _name_state(wanted: Wanted) -> list[Any]:
     """Name the changes and causes that a fit reads."""
     return [*wanted.named, *([] if wanted.model.is_plain else [wanted.model.id])]
@@ -250,10 +265,9 @@ def _name_change(stores: Stores, station: str | None, since: Instant, until: Ins
 # Why work is due: what of its inputs is another than when the same work was due before.
 
 CALLED_FOR = {
-    "decisions": "a decision about a change", "beside": "spectra of other years",
+    **OF_SIMULATION, "decisions": "a decision about a change", "beside": "spectra of other years",
     "model": "a cause adopted or withdrawn", "form": "other numbers are kept",
     "references": "another reference", "search": "another policy of the search", "drift": "drift measured anew",
-    "instrument": "another instrument", "sky_power": "another sky power", "model_version": "another model version",
 }  # fmt: skip
 CHANGES_NAMED = 3
 

@@ -28,10 +28,10 @@ from lbacal_core.errors import BadInputError, write_change, write_percent
 from lbacal_core.grids import Floats, require_same_grid
 from service.storage.changes import RAMP, SAME_DATE, Change, Cut, KeptChange
 from service.storage.database import Stores
-from service.storage.ledger import LedgerStore
 from service.storage.models import ModelChange
-from service.storage.versions import OF_OTHERS, Version, mean_over_band
+from service.storage.versions import OF_OTHERS, OF_SIMULATION, Version, mean_over_band
 from service.usecases.calibrations import find_slow, group_by_antenna
+from service.usecases.retractions import find_retracted
 
 # How far two calibration curves differ, channel by channel.
 
@@ -286,7 +286,7 @@ class Gate:
         A window that is whole again, as a person dismissed a change, holds its step, and its parts do not.
         """
         since, until = made[0].window
-        before = find_predecessors(stores.ledger, [v.scope for v in made], (since + until) // 2)
+        before = find_predecessors(stores, [v.scope for v in made], (since + until) // 2)
         versions = stores.versions.get_many(before.values())
         model_change = stores.models.last_change(made[0].scope.station, since, until)
         steps = [step for one in kept for step in one.steps]
@@ -334,6 +334,9 @@ class Gate:
             if change is None or in_force[0] - self.change <= change <= in_force[1] + self.change:
                 continue
             told = f"{curve.name}: mean C differs by {change:+.1%} from before, at most {self.change:.1%} passes"
+            inputs, old = version.inputs, predecessor.inputs if predecessor else {}
+            other = [words for name, words in OF_SIMULATION.items() if inputs.get(name) != old.get(name)]
+            told += f"; it was made with {' and '.join(other)}" if other else ""
             if predecessor is None or model_change is None or predecessor.model == version.model:
                 return told
             low, high = find_announced(model_change, version.scope, str(curve.dipole))
@@ -429,12 +432,20 @@ def find_change_of_mean(version: Version, predecessor: Version, dipole: str) -> 
     return now[0] / before[0] - 1.0 if now and before else None
 
 
-def find_predecessors(ledger: LedgerStore, scopes: Collection[Scope], middle: Instant) -> dict[Scope, str]:
-    """The version of each scope in effect at the middle of a window, or else the last before it, or the first after."""
-    found = ledger.versions_at(scopes, middle)
-    silent = [scope for scope in scopes if scope not in found]
-    for scope, (before, after) in ledger.neighbours({scope: (scope,) for scope in silent}, middle, None).items():
-        nearest = before or after
-        if nearest is not None:
-            found[scope] = str(nearest.promotion.calibration)
-    return found
+def find_predecessors(stores: Stores, scopes: Collection[Scope], middle: Instant) -> dict[Scope, str]:
+    """The version of each scope in effect at the middle of a window, or else the last before it, or the first after.
+
+    One most of whose events were flagged since is no measure: what they gave was not right.
+    """
+    found = _without_retracted(stores, stores.ledger.versions_at(scopes, middle))
+    silent = {scope: (scope,) for scope in scopes if scope not in found}
+    nearest = {
+        scope: before or after for scope, (before, after) in stores.ledger.neighbours(silent, middle, None).items()
+    }
+    names = {scope: str(one.promotion.calibration) for scope, one in nearest.items() if one is not None}
+    return found | _without_retracted(stores, names)
+
+
+def _without_retracted(stores: Stores, names: Mapping[Scope, str]) -> dict[Scope, str]:
+    retracted = find_retracted(stores, stores.versions.summaries(set(names.values())))
+    return {scope: name for scope, name in names.items() if name not in retracted}

@@ -16,19 +16,23 @@ from service.storage.processes import SCHEDULER
 from service.storage.spectra import Window
 from service.storage.sums import ServedKey
 from service.storage.versions import Summary
-from service.usecases.drift import find_years
 
 SHARE = 0.5
 """C of fewer of its events than this is rather that of the others."""
 
 
 def find_retracted(stores: Stores, versions: Iterable[Summary]) -> dict[str, str]:
-    """Say of the versions most of whose events were flagged since how many, by id."""
+    """Say of the versions most of whose events were flagged since how many, by id.
+
+    Since they were made, or since a fit confirmed them last: the events that are left had the same C.
+    """
     in_window = cache(lambda since, until: stores.spectra.count_flagged(Window(since, until)))
     found = {}
     for one in versions:
         if in_window(one.since, one.until) > SHARE * one.events:
-            gone = stores.spectra.count_flagged(Window(one.since, one.until, one.scope), one.made)
+            confirmed = stores.versions.confirmation(one.id)
+            read = one.made if confirmed is None else max(one.made, confirmed.made)
+            gone = stores.spectra.count_flagged(Window(one.since, one.until, one.scope), read)
             if gone > SHARE * one.events:
                 found[one.id] = f"{min(gone, one.events)} of its {one.events} events were flagged since it was made"
     return found
@@ -49,17 +53,3 @@ def withdraw_retracted(
         is_anew = any(first < (one.valid_to or until) and one.valid_from < last for first, last in spans)
         if one.by == SCHEDULER and one.calibration in retracted and not is_anew:
             yield replace(one, calibration=None, reason=retracted[one.calibration])
-
-
-def end_empty(stores: Stores) -> list[Promotion]:
-    """Forget what is kept of windows of which every event is flagged, and withdraw what due work promoted there."""
-    found = list[Promotion]()
-    for since, until in find_years(stores):
-        if not stores.spectra.last_flag(since, until):
-            continue
-        held = set(stores.spectra.contents(since, until))
-        stations: list[str | None] = [one for one in stores.spectra.stations() if one not in held]
-        for station in stations if held else [*stations, None]:
-            stores.sums.forget(Scope(station), since, until)
-            found += withdraw_retracted(stores, stores.spectra.scopes_of(station), since, until)
-    return found

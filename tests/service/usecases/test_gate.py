@@ -65,6 +65,12 @@ def test_a_jump_of_either_curve_beyond_the_limit_waits_in_both_directions(factor
         assert "10.0%" in objection
 
 
+def test_a_jump_by_another_simulation_says_which_part_of_it_is_another():
+    after = replace(version(curve(1.2e-3), made=200, window=(50, 100)), inputs={"sky_power": "b", "instrument": "c"})
+    before = replace(BEFORE, inputs={"sky_power": "a", "instrument": "c"})
+    assert str(GATE.objection(after, before)).endswith("at most 10.0% passes; it was made with another sky power")
+
+
 def test_each_dipole_is_compared_with_itself():
     before = version(curve(1e-3), curve(2e-3, dipole="Y"))
     same = version(curve(1e-3), curve(2e-3, dipole="Y"), made=200, window=(50, 100))
@@ -173,7 +179,7 @@ def promote(factory, stored, *lines):
 
 def predecessor(factory, scope, middle):
     with factory.database.read() as stores:
-        return find_predecessors(stores.ledger, [scope], middle).get(scope)
+        return find_predecessors(stores, [scope], middle).get(scope)
 
 
 def test_the_predecessor_covers_the_middle_of_the_window_or_is_nearest_in_time(factory, stored):
