@@ -9,6 +9,7 @@ import pytest
 
 from lbacal_core.calibration.slow_changes import YEAR_S, SlowChange
 from lbacal_core.curves.curves import CONVERGED, TOO_FEW_EVENTS, CalibrationCurve
+from lbacal_core.curves.reference_chain import CableTable, ReferenceChain
 from lbacal_core.curves.validity import Promotion, Scope
 from service.factory import Factory
 from service.storage.changes import STEP, Change, Cut, Decision, Evidence, KeptChange
@@ -69,6 +70,20 @@ def test_a_jump_by_another_simulation_says_which_part_of_it_is_another():
     after = replace(version(curve(1.2e-3), made=200, window=(50, 100)), inputs={"sky_power": "b", "instrument": "c"})
     before = replace(BEFORE, inputs={"sky_power": "a", "instrument": "c"})
     assert str(GATE.objection(after, before)).endswith("at most 10.0% passes; it was made with another sky power")
+
+
+@pytest.mark.parametrize(("scope", "factor", "passes"), [
+    (PATH, 1.0, True), (PATH, 0.75**-0.5, True), (PATH, 1.3, False), (CS002, 1.0, False), (CS002, 0.75**-0.5, True),
+])  # fmt: skip
+def test_own_c_moves_by_no_record_of_its_cable_that_is_corrected(scope, factor, passes):
+    """C of its own data, unchanged, was told to differ by 15.6 %, as another cable was taken out of it."""
+
+    def through(loss, c):
+        chain = ReferenceChain((("CS001", 0),), np.full(51, loss), CableTable({}, ()), None)
+        return replace(version(curve(c)), scope=scope, chains={"X": chain})
+
+    objection = GATE.objection(through(0.75, factor * 1e-3), through(1.0, 1e-3))
+    assert (objection is None) == passes, objection
 
 
 def test_each_dipole_is_compared_with_itself():
