@@ -130,39 +130,48 @@ def find_ill_paths(station: AuditedStation, comparison: Comparison) -> tuple[lis
             continue
         is_odd = bool(rms[a, d] > max(oddest[d], OUTLYING / 2))
         kind = _name(comparison, a, d, float(level), float(level / level_spread[d]), tallest[d], is_odd=is_odd)
-        if kind is None or (kind == "outlying" and not is_comparable[a]):
-            continue
-        is_ill[a, d] = True
-        since, until = _find_dead(station, a, d) if kind == "dead" else (None, None)
-        told = f"antenna {station.antennas[a]} {station.dipoles[d]} {_SENTENCES[kind]}{_describe_part(since, until)}"
-        lines.append(
-            Line(
-                check=kind,
-                verdict=WRONG,
-                station=station.name,
-                sentence=f"{told}: {DECIBEL * level:+.1f} dB from the others",
-                antennas=(int(station.antennas[a]),),
-                dipole=station.dipoles[d],
-                value=DECIBEL * level,
-                unit="dB",
-                since_unix=None if since is None else since.at,
-                until_unix=None if until is None else until.at,
+        if kind == "outlying" and not is_comparable[a]:
+            kind = None
+        is_ill[a, d] = kind is not None
+        parts = _find_dead(station, a, d) if kind in (None, "dead") else []
+        if kind is not None and len(parts) != 1:
+            parts = [(None, None, float(level))]
+        for since, until, depth in parts:
+            check, when = kind or "dead", _describe_part(since, until)
+            told = f"antenna {station.antennas[a]} {station.dipoles[d]} {_SENTENCES[check]}{when}"
+            lines.append(
+                Line(
+                    check=check,
+                    verdict=WRONG,
+                    station=station.name,
+                    sentence=f"{told}: {DECIBEL * depth:+.1f} dB from the others",
+                    antennas=(int(station.antennas[a]),),
+                    dipole=station.dipoles[d],
+                    value=DECIBEL * depth,
+                    unit="dB",
+                    since_unix=None if since is None else since.at,
+                    until_unix=None if until is None else until.at,
+                )
             )
-        )
     return lines, is_ill
 
 
-def _find_dead(station: AuditedStation, a: int, d: int) -> tuple[Edge | None, Edge | None]:
-    """When a path, by its row, begins and ceases to be dead; None where that is no date in the data."""
-    power = station.before_cable()[:, d]
+def _find_dead(station: AuditedStation, a: int, d: int) -> list[tuple[Edge | None, Edge | None, float]]:
+    """When a path, by its row, begins and ceases to be dead, None where that is no date in the data; and its level."""
+    power, found = station.before_cable()[:, d], list[tuple[Edge | None, Edge | None, float]]()
     level = np.nanmean(power[a] - np.nanmedian(power, axis=0), axis=-1)
-    known = np.flatnonzero(np.isfinite(level))
-    dead = np.flatnonzero(level[known] < DEAD_LEVEL)
-    if dead.size == 0 or np.ptp(dead) >= dead.size:  # not on end
-        return None, None
-    edges = [_edge(station.time_unix[known], at, np.array([at])) if min(at, known.size - at) >= FEWEST_BESIDE else None
-             for at in (int(dead[0]), int(dead[-1]) + 1)]  # fmt: skip
-    return edges[0], edges[1]
+    known = np.flatnonzero(~np.isnan(level))
+    is_dead = level[known] < DEAD_LEVEL
+    for run in np.flatnonzero(np.diff(is_dead, prepend=False, append=False)).reshape(-1, 2).tolist():
+        if run[1] - run[0] >= FEWEST_BESIDE:
+            since, until = (
+                _edge(station.time_unix[known], at, np.array([at]))
+                if min(at, known.size - at) >= FEWEST_BESIDE
+                else None
+                for at in run
+            )
+            found.append((since, until, float(np.mean(level[known[slice(*run)]]))))
+    return found
 
 
 _SENTENCES = {

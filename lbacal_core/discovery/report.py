@@ -524,7 +524,8 @@ class Search:
         # The products are small: threads of the linear algebra would wait for each other.
         with threadpool_limits(1):
             report = search(station, modes=None if known is None else model_modes(station, known))
-            if simulation.is_own_sky and (report.structure is not None or not report.findings or _names_record(report)):
+            may_be_of_record = simulation.is_own_sky and (not report.findings or _names_record(report))
+            if report.structure is not None or may_be_of_record:
                 progress(f"{station.name}: asking whether its record is wrong")
                 report = _search_put_right(own, report, simulation, search) or report
             if report.structure is not None:

@@ -119,6 +119,15 @@ def test_where_a_noise_would_fall_below_nothing_the_next_of_its_place_is_said(sp
 
 
 @pytest.mark.long
+def test_a_path_that_is_dead_for_a_month_is_left_out_then(clean, simulation):
+    """It was a gain of the receiver with four harmonics a year, 0.973 +- 0.00089."""
+    during = (clean.antenna == 3) & (clean.dipole == "X") & (np.abs(clean.time_unix - 1402000000.0) < 15 * 86400.0)
+    dead = replace(clean, power=clean.power * np.where(during, 0.03, 1.0)[:, None])
+    report, (found,) = investigate(dead, simulation)
+    assert (report["verdict"], found.deaf) == ("consistent", [])
+
+
+@pytest.mark.long
 def test_a_single_event_is_put_into_no_course(clean, simulation):
     """One burst was the square of the height of the Sun near a day of its rotation, times 135."""
     burst = np.where(clean.event_id == clean.event_id[40], 8.0, 1.0)[:, None] ** (clean.frequency_mhz / 80.0)
