@@ -115,10 +115,11 @@ def _audit_station(
 ) -> list[Line]:
     if station.antennas.size < FEWEST:
         everyone = np.arange(station.antennas.size)
-        sentence = f"paths, cables and letters are compared in {FEWEST} antennas or more, here are {everyone.size}"
+        sentence = f"paths and cables are compared in {FEWEST} antennas or more, here are {everyone.size}"
         alone = [Line("antennas", UNDECIDED, station.name, sentence), *find_steps(station, everyone)]
-        models = None if len(alone) > 1 else models
-        return alone if models is None else [*alone, *SkyMatch(station, instrument, models).tell(everyone)]
+        if models is None or len(alone) > 1:
+            return alone
+        return [*alone, *_ask_sky(SkyMatch(station, instrument, models), np.ones(everyone.size, dtype=bool))]
     as_recorded = compare_paths(station)
     is_off = find_ill_paths(station, as_recorded)[1].any(axis=1)
     working = np.flatnonzero(~is_off)
@@ -131,18 +132,26 @@ def _audit_station(
     comparison = compare_paths(station)
     ill, is_ill = find_ill_paths(station, comparison)
     is_usable = np.asarray(~is_ill.any(axis=1) & np.isfinite(comparison.level).all(axis=1))
-    exchange = compare_polarisations(station, is_usable)
     if models is None or any(line.check == STEPPED for line in steps):
         # a series of two chains is no series of the sky
-        return [*steps, *ill, *wrong_cables, *tell_exchanged(station, exchange)]
-    match = SkyMatch(station, instrument, models)
+        exchanged = tell_exchanged(station, compare_polarisations(station, is_usable))
+        return [*steps, *ill, *wrong_cables, *exchanged]
+    asked = _ask_sky(SkyMatch(station, instrument, models), is_usable)
+    if any(line.check == "unit" and line.verdict == WRONG for line in asked):
+        return asked
+    return [*steps, *ill, *wrong_cables, *asked]
+
+
+def _ask_sky(match: SkyMatch, is_usable: NDArray[np.bool_]) -> list[Line]:
+    """Which antennas are exchanged against the sky, and what it says of those that are not."""
+    exchange = compare_polarisations(match.station, is_usable)
     most, others = np.setdiff1d(exchange.rows, exchange.exchanged()), exchange.exchanged()
     if others.size and match.gain_of_exchange(most) > match.gain_of_exchange(others):
         exchange, most = exchange.flipped(), others
     of_sky = match.tell(most)
     if any(line.check == "unit" and line.verdict == WRONG for line in of_sky):
         return of_sky
-    return [*steps, *ill, *wrong_cables, *tell_exchanged(station, exchange), *of_sky]
+    return [*tell_exchanged(match.station, exchange), *of_sky]
 
 
 # The part of an audit that needs no model of the sky: what comes before a fit or an investigation.

@@ -98,6 +98,8 @@ SHIFTS = {"clock", "longitude sign"}
 SUMMER_TIME = "summer time"
 HOURS, HOUR_DEG = 24, 15.0
 """Time zones, of which a wrong one is one; and the turn of the sky in an hour."""
+LEANING_H = 45.0 / HOUR_DEG
+"""A mast that leans by 45 degrees has fallen."""
 WHAT_DECIDES = (
     "The sky does not tell a clock from a longitude: the Sun in data of the day, the local hours of broadcasts, or a "
     "second station on the same clock would"
@@ -245,6 +247,8 @@ def _tell_shift(station: str, clock: Possibility, signs: Sequence[Possibility], 
     size, of_clock, of_longitude = abs(value), *(("ahead", "east") if value < 0 else ("behind", "west"))
     any_other = f"a clock that is {60 * size:.0f} min {of_clock}, or a longitude that is "
     any_other += f"{HOUR_DEG * size:.1f} deg too far {of_longitude}"
+    if size < LEANING_H:
+        any_other += f", or masts that all lean to the {'west' if value < 0 else 'east'}"
     sentence = f"{describe(clock)}: {'; or '.join([*named, any_other])}. {WHAT_DECIDES}"
     check = known[0][1] if known else clock.check
     return Line(
@@ -282,7 +286,7 @@ def tell_drift(line: Line, before: Possibility, after: Possibility, date: str) -
         return line
     first, second = (f"{60 * (one.value or 0.0):+.0f} +- {60 * (one.sigma or 0.0):.0f} min" for one in (before, after))
     sentence = f"sidereal time is {first} before {date} and {second} after from that of clock and longitude on record: "
-    sentence += "a clock that drifts or steps"
+    sentence += "a clock that drifts or steps, or masts that lean more and more"
     return replace(line, check="clock", sentence=sentence, sigma=math.hypot(line.sigma or 0.0, apart / 2))
 
 

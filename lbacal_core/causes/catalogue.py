@@ -31,7 +31,7 @@ CAUSES: tuple[Cause, ...] = (
     sky.DipoleAzimuth(),
     DipoleSwap(),
     Cause(
-        "lst_offset", "h", "the sidereal time of data or simulation is off",
+        "lst_offset", "h", "the sidereal time of data or simulation is off, or all antennas lean to the east",
         "ask whether lst_h is the edge or the centre of a bin; compare the transit of a bright source in "
         "interferometric data with its right ascension",
         step=0.005, sizes=SizeRange(-3.0, 3.0), does=sky.move_in_time,

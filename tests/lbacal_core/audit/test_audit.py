@@ -55,6 +55,16 @@ def test_two_faults_are_both_named(spectra, low_band):
     assert wrong == {("exchange", (1,)), ("dead", (4,))}
 
 
+@pytest.mark.parametrize(("antennas", "exchanged"), [(2, ()), (2, (1,)), (3, ()), (3, (2,)), (3, (0, 2)), (2, (0, 1))])
+def test_of_two_or_three_antennas_the_sky_tells_which_are_exchanged(antennas, exchanged, spectra, low_band):
+    """One of two was "X and Y are mixed, or an arm is turned" of the whole station."""
+    few = exchange(few := spectra.select(spectra.antenna < antennas), np.isin(few.antenna, exchanged))
+    report = audit(few, low_band, antenna="hamaker")
+    wrong = [(line.kind, line.antennas) for line in report.lines if line.verdict == "wrong"]
+    whole = len(exchanged) == antennas
+    assert wrong == ([("exchange", () if whole else exchanged)] if exchanged else [])
+
+
 def test_one_antenna_is_asked_what_it_saw_of_the_sky(spectra, low_band):
     """A single dipole, as EDGES or MIST, was refused whole: nothing is there to compare it with, but a sky is."""
     one = spectra.select(spectra.antenna == 2)

@@ -322,7 +322,7 @@ def test_a_shift_that_is_no_whole_hour_is_a_clock_or_a_longitude_and_what_decide
         "CS002", 0.0, [Possibility("clock", 90.0, 1.4, 0.03), Possibility("longitude sign", 9.0, -0.916)]
     )
     assert (line.check, line.value) == ("clock", 1.4)
-    assert ": a clock that is 84 min behind, or a longitude that is 21.0 deg too far west. The sky" in line.sentence
+    assert ": a clock that is 84 min behind, or a longitude that is 21.0 deg too far west, or masts" in line.sentence
     assert "UTC" not in line.sentence
 
 
