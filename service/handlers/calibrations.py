@@ -13,7 +13,7 @@ from fastapi import APIRouter, Query, Request, Response
 
 from lbacal.instants import format_instant, parse_at
 from lbacal.tables import write_format
-from lbacal_core.curves.curves import OK, STATUSES, UNCERTAIN
+from lbacal_core.curves.curves import STATUSES
 from lbacal_core.curves.validity import Scope
 from service.factory import Factory
 from service.handlers.request import (
@@ -204,16 +204,14 @@ def _write_curve(curve: CurveInEffect) -> WrittenCurve:
 def _describe_curve(curve: CurveInEffect) -> dict[str, Any]:
     """A curve as in fit.json, as the path is served it, with the version and the scope that answered."""
     served, chain, promotion = curve.served, curve.chain, curve.promotion
-    held = "held: nothing is in effect, the nearest in time answers" if curve.is_held else None
-    reasons = [text for text in (held, curve.changed, served.reason) if text]
     return {
         **served.curve.as_dict(),
         "calibration": promotion.calibration,
         "answered_by": promotion.scope.level,
         "factor": served.factor.tolist(),
         "factor_sigma": served.error,
-        "flag": [UNCERTAIN if reasons and flag == OK else flag for flag in served.curve.flags.tolist()],
-        "flag_reason": "; ".join(reasons) or None,
+        "flag": curve.flags,
+        "flag_reason": curve.flag_reason,
         "reference": None if chain is None else fill_answer(
             wire.ReferenceAnswer, chain, paths=len(chain.members), cable=served.cable, cables=chain.cables.digest,
             spreads=None if chain.spreads is None else chain.spreads.digest,

@@ -11,6 +11,7 @@ from functools import cache, cached_property
 from lbacal.instants import DAY_US, SECOND_US, format_instant, format_optional
 from lbacal_core.calibration.slow_changes import follow_slow_changes
 from lbacal_core.calibration.spreads import ServedCurve, serve_reference
+from lbacal_core.curves.curves import OK, UNCERTAIN
 from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.curves.validity import Instant, Promotion, Scope, Stretch
 from lbacal_core.errors import BadInputError, name_path, require_antenna, require_name
@@ -97,6 +98,18 @@ class CurveInEffect:
         is_chain, version = self.path.antenna is None, self.version
         served = serve_reference(version.curve_of(str(self.dipole))) if is_chain else version.serve(self.path, self.at)
         return served if self.followed_at is None else follow(served, version, self.slow, self.followed_at)
+
+    @property
+    def flag_reason(self) -> str | None:
+        """Why the whole curve is uncertain; None where it is not."""
+        held = "held: nothing is in effect, the nearest in time answers" if self.is_held else None
+        return "; ".join(text for text in (held, self.changed, self.served.reason) if text) or None
+
+    @property
+    def flags(self) -> list[str]:
+        """The flag of each channel."""
+        flags: list[str] = self.served.curve.flags.tolist()
+        return [UNCERTAIN if self.flag_reason and flag == OK else flag for flag in flags]
 
     @property
     def chain(self) -> ReferenceChain | None:

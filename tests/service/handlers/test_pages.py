@@ -5,6 +5,7 @@ import io
 import re
 from collections.abc import Iterator
 from dataclasses import replace
+from html import escape
 from typing import Any
 
 import numpy as np
@@ -61,6 +62,26 @@ def test_station_antenna_and_date_lead_to_c_on_that_date(client: TestClient, pro
     version = client.get(f"/calibrations/{promoted.id}").text
     assert "CS001 antenna 0 X" in version
     assert "it is &lt;good&gt;" in version
+
+
+def test_the_page_of_a_path_tells_its_flags_and_what_speaks_against_its_changes(
+    client: TestClient, promoted: Version, stored: dict[str, Version], factory: Factory
+) -> None:
+    """It showed C, band and version alone of what API and CLI said to be uncertain in every channel."""
+    address, asked = "/paths/CS001/0/X?at=2014-06-01", {"at": "2014-06-01", "station": "CS001", "antenna": 0}
+    assert f"Channels: {len(promoted.curves[0].flags)} ok." in client.get(address).text
+    since, until = promoted.window
+    mean = Promotion(0, stored["station"].scope, since, until, stored["station"].id, 0)
+    with factory.database.write() as stores:
+        stores.ledger.append([mean, replace(mean, scope=promoted.scope, calibration=None)], factory.clock)
+    for size in (0.05, 0.2):
+        body = {"station": "CS001", "kind": "ramp", "at": {"value": "2014-02-01"}, "reason": "seen"}
+        client.post("/v1/changes", json=body | {"size": {"value": size, "sigma": 0.01}}).raise_for_status()
+    told, page = client.get("/v1/calibrations/effective", params=asked).json()["curves"][0], client.get(address).text
+    assert set(told["flag"]) == {"uncertain"}
+    assert f"Channels: {len(told['flag'])} uncertain; uncertain: {escape(told['flag_reason'])}." in page
+    doubted = next(one for one in client.get("/v1/changes").json()["changes"] if one["doubts"])
+    assert f"Change {doubted['id']} of 2014-02-01, in force, but {doubted['doubts'][0]}." in page
 
 
 def test_numbers_drawn_are_those_of_the_api(client: TestClient, promoted: Version) -> None:
