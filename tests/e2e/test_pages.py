@@ -189,14 +189,14 @@ def find_barriers(page: Page) -> list[Any]:
 
 
 def find_cut_off(page: Page, width: int) -> list[str]:
-    """What the edge of the window cuts off; on a telephone also a figure whose right end, the newest, is not shown."""
+    """What the edge of the window cuts off; on a telephone also a figure whose left end, its axis, is not shown."""
     if not page.evaluate("document.documentElement.scrollWidth <= window.innerWidth"):
         return ["the page"]
     outside = "sections => sections.filter(s => s.scrollWidth > s.clientWidth + 1).map(s => s.innerText.slice(0, 80))"
     hidden = page.locator("main section").evaluate_all(outside)
     for figure in page.locator(".figure.wide").all() if width == 390 else ():
-        shown = figure.evaluate("f => f.getBoundingClientRect().right - f.firstChild.getBoundingClientRect().right")
-        hidden += [f"the end of a figure by {shown}"] if abs(shown) >= 2 else []
+        shown = figure.evaluate("f => f.getBoundingClientRect().left - f.firstChild.getBoundingClientRect().left")
+        hidden += [f"the axis of a figure by {shown}"] if abs(shown) >= 2 else []
     return hidden
 
 
