@@ -123,7 +123,7 @@ class Change:
         if abs(self.date - other.date) > max(DAY_US, MOVED_DATE * other.sigma):
             return True
         if self.size is None or other.size is None:
-            return other.size is not None
+            return self.size is not other.size
         reach = other.size_sigma or 0.0
         return any(abs(one - then) > reach for one, then in zip(self._modes(), other._modes(), strict=True))
 

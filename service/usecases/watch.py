@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lbacal.instants import DAY_US, SECOND_US, format_instant
 from lbacal_core.calibration.slow_changes import YEAR_S
@@ -66,10 +67,12 @@ class Watch:
         """Do a part: follow, keep the report, settle the alarms; nothing where all measured events are gone since."""
         with self.database.read() as stores:
             inputs = self.name_inputs(stores)
-            years = stores.sums.of_kind(DRIFT)
-            history = assemble_history(years, find_hardware_changes(self.instrument)) if inputs else None
+            years, known = stores.sums.of_kind(DRIFT), find_hardware_changes(self.instrument)
+            history = assemble_history(years, known) if inputs else None
             left_out = [] if history is None else list(_find_left_out(stores, history))
-        report = None if history is None else self._report(history) | {"left_out": left_out}
+            recorded = [] if history is None else list(_find_recorded(history, known))
+        more = {"left_out": left_out, "recorded": recorded}
+        report = None if history is None else self._report(history) | more
         with self.database.write() as stores:
             now = self.clock()
             stores.jobs.complete(part, worker, {"calibrations": []}, now)
@@ -93,7 +96,8 @@ def assemble_history(years: Iterable[Sums], changes: Mapping[tuple[str, int], Se
     Parameters
     ----------
     changes
-        Dates of hardware changes, s UTC, by station and antenna.
+        Dates of hardware changes, s UTC, by station and antenna: the path's own events tell the size of one, if there
+        are some before and after it.
     """
     from lbacal_core.drift.events import MODES
     from lbacal_core.drift.follow import History
@@ -111,9 +115,17 @@ def assemble_history(years: Iterable[Sums], changes: Mapping[tuple[str, int], Se
     known = np.full((len(keys), max(map(len, dates), default=0)), np.inf)
     for k, of_path in enumerate(dates):
         known[k, : len(of_path)] = of_path
-    known[(known <= time_unix[0]) | (known > time_unix[-1])] = np.inf
+    first, last = _find_spans(ln_c, time_unix)
+    known[(known <= first[:, None]) | (known > last[:, None])] = np.inf
     station, antenna, dipole = (np.array(column) for column in zip(*keys, strict=True))
     return History(station, antenna.astype(np.int64), dipole, time_unix, ln_c, known)
+
+
+def _find_spans(ln_c: Floats | NDArray[np.float32], time_unix: Floats) -> tuple[Floats, Floats]:
+    """The first and the last event of each path, s UTC; infinite where it has none."""
+    is_known = np.isfinite(ln_c[..., 0])
+    first = np.where(is_known, time_unix, np.inf).min(axis=1)
+    return first, np.where(is_known, time_unix, -np.inf).max(axis=1)
 
 
 Measured = Mapping[tuple[str | None, int, str | None], tuple[float, float]]
@@ -122,13 +134,25 @@ Measured = Mapping[tuple[str | None, int, str | None], tuple[float, float]]
 
 def _list_measured(history: History) -> Measured:
     paths = zip(history.station.tolist(), history.antenna.tolist(), history.dipole.tolist(), strict=True)
-    is_known, instants = np.isfinite(history.ln_c[..., 0]), history.time_unix * SECOND_US
-    first = np.where(is_known, instants, np.inf).min(axis=1).tolist()
-    spans = list(zip(first, np.where(is_known, instants, -np.inf).max(axis=1).tolist(), strict=True))
+    first, last = (SECOND_US * ends for ends in _find_spans(history.ln_c, history.time_unix))
+    spans = list(zip(first.tolist(), last.tolist(), strict=True))
     return {
         (station, antenna, dipole): span
         for (station, antenna, letter), span in zip(paths, spans, strict=True) for dipole in (letter, None)
     }  # fmt: skip
+
+
+def _find_recorded(history: History, changes: Mapping[tuple[str, int], Sequence[float]]) -> Iterator[dict[str, Any]]:
+    """Find hardware changes of which no path has events on both sides: an antenna that came, went or was renamed."""
+    owners = list(zip(history.station.tolist(), history.antenna.tolist(), strict=True))
+    sized = {(*of, date) for of, dates in zip(owners, history.known_unix.tolist(), strict=True) for date in dates}
+    together = defaultdict[tuple[str, float], list[int]](list)
+    for station, antenna in sorted(set(owners)):
+        for date in changes.get((station, antenna), ()):
+            if history.time_unix[0] < date <= history.time_unix[-1] and (station, antenna, date) not in sized:
+                together[station, date].append(antenna)
+    for (station, date), antennas in together.items():
+        yield {"station": station, "antennas": antennas, "date_unix": date}
 
 
 def _find_left_out(stores: Stores, history: History) -> Iterator[dict[str, Any]]:
@@ -154,7 +178,8 @@ def settle_changes(stores: Stores, report: Mapping[str, Any], measured: Measured
     A path whose C was withdrawn has nothing that drift could be measured against: what was found in it stays. A step
     does not end because an adopted cause takes it up: the cause may be withdrawn. A slow change does: C would follow it
     twice. A change follows the later events that give it another date or size, unless a person has spoken of it: of
-    one that a person entered without a size, the size alone.
+    one that a person entered without a size, the size alone. A change of the instrument's record that is below the
+    threshold is on record, and not found.
     """
     found = [
         (change, max(float(member["significance"]) for member in one["members"]), bool(one["is_known"]))
@@ -163,9 +188,15 @@ def settle_changes(stores: Stores, report: Mapping[str, Any], measured: Measured
     ]
     for one in report.get("slopes", ()):
         found += [(*of, False) for of in read_slow(one, report["first_unix"])]
-    alike = defaultdict[tuple[str | None, str], dict[Change, float]](dict)
-    for one, significance, _ in found:
-        alike[one.station, one.kind][one] = significance
+    for one in report.get("recorded", ()):
+        paths = tuple((antenna, None) for antenna in one["antennas"])
+        found.append((Change(one["station"], paths, STEP, round(one["date_unix"] * SECOND_US), 0), 0.0, True))
+    alike = defaultdict[tuple[str | None, str], dict[Change, Sequence[Evidence]]](dict)
+    for change, significance, is_known in found:
+        is_found = not is_known or significance >= report.get("threshold_sigma", math.inf)
+        by_drift = [Evidence(BY_DRIFT, "", significance, now)] if is_found else []
+        on_record = [Evidence(RECORD, "", None, now)] if is_known else []
+        alike[change.station, change.kind][change] = [*by_drift, *on_record]
     for kept in stores.changes.kept():
         change = kept.change
         is_slow = change.kind in (RAMP, SEASON)
@@ -174,28 +205,27 @@ def settle_changes(stores: Stores, report: Mapping[str, Any], measured: Measured
         if is_sought and is_measured and not any(map(change.is_same, alike[change.station, change.kind])):
             for source in (BY_DRIFT, RECORD):
                 stores.changes.end(kept.number, source, now)
-    for change, significance, is_known in found:
-        kept = stores.changes.note(change, Evidence(BY_DRIFT, "", significance, now))
-        if is_known:
-            stores.changes.note(change, Evidence(RECORD, "", None, now))
-        else:
-            stores.changes.end(kept.number, RECORD, now)
-    for number, change, significance in find_moved(stores.changes.kept(), alike, measured):
-        stores.changes.move(number, change, Evidence(BY_DRIFT, "", significance, now))
+    for change, *_ in found:
+        say_so = alike[change.station, change.kind][change]
+        noted = [stores.changes.note(change, one) for one in say_so]
+        for source in {BY_DRIFT, RECORD} - {one.source for one in say_so}:
+            stores.changes.end(noted[0].number, source, now)
+    for number, change, by in find_moved(stores.changes.kept(), alike, measured):
+        stores.changes.move(number, change, by[0])
 
 
-Alike = Mapping[tuple[str | None, str], Mapping[Change, float]]
-"""Changes by station and kind, with their significance."""
+Alike = Mapping[tuple[str | None, str], Mapping[Change, Sequence[Evidence]]]
+"""Changes by station and kind, with who says so."""
 
 
 def find_moved(
     on_record: Sequence[KeptChange], found: Alike, measured: Measured
-) -> Iterator[tuple[int, Change, float]]:
+) -> Iterator[tuple[int, Change, Sequence[Evidence]]]:
     """Find the changes that later events give another date, size or dipoles of their antennas, by their numbers.
 
-    With what these give them: of each that lasts, the nearest found of all its antennas, if no other on record is
-    nearer to that. One of which a person has spoken stays, but for a size that was left open. A dipole that drift alone
-    had named leaves one in which it is no longer found.
+    With what these give them, and who says so: of each that lasts, the nearest found of all its antennas, if no other
+    on record is nearer to that. One of which a person has spoken stays, but for a size that was left open. A dipole
+    that drift alone had named leaves one in which it is no longer found.
     """
     lasting = defaultdict[tuple[str | None, str], list[Change]](list)
     for kept in on_record:

@@ -15,7 +15,9 @@ from fastapi.testclient import TestClient
 from lbacal.instants import DAY_US, format_instant, parse_instant
 from lbacal_core.causes.model import AdoptedCause, Model
 from lbacal_core.curves.validity import Scope, timeline
-from lbacal_core.drift.follow import History
+from lbacal_core.drift.events import EventModes
+from lbacal_core.drift.follow import History, follow
+from lbacal_core.drift.report import describe_followed
 from lbacal_core.instrument.instrument import Instrument, load_instrument
 from lbacal_core.sky.table import read_sky_power, write_sky_power
 from lbacal_core.spectra.spectra import Spectra
@@ -30,14 +32,23 @@ from service.storage.alarms import AlarmsAsked
 from service.storage.changes import Change, Evidence
 from service.storage.jobs import Job, Order, Part
 from service.storage.models import ADOPTED, ModelChange
+from service.storage.sums import Sums
 from service.storage.versions import Version
 from service.usecases.drift import start_of_year
-from service.usecases.drift_measurement import find_references
+from service.usecases.drift_measurement import find_references, write_events
 from service.usecases.due import DueWork
 from service.usecases.fits import Wanted
 from service.usecases.models import Adoption
 from service.usecases.watch import KIND as WATCH
-from service.usecases.watch import _find_left_out, read_changes, settle_changes, tell_news
+from service.usecases.watch import (
+    _find_left_out,
+    _find_recorded,
+    _list_measured,
+    assemble_history,
+    read_changes,
+    settle_changes,
+    tell_news,
+)
 from service.usecases.windows import share_misfits
 from service.wire.bodies import InvestigationBody, ReasonBody
 from tests.service.conftest import get_job, like, night, refit, served, take_another_model, work
@@ -322,6 +333,31 @@ def test_a_change_follows_later_events_that_give_it_another_date_or_size(watched
         assert [(by.made, by.ended, by.size) for by in kept.evidence] == [(0, 1, -0.07), (1, None, -0.05)]
         (then,) = stores.changes.kept(as_of=0)
         assert (then.change.size, then.change.sigma, then.stands) == (-0.07, 10 * DAY_US, True)
+
+
+def test_an_antenna_that_came_or_went_by_the_record_has_no_size_that_nobody_measured(watched: Factory) -> None:
+    """It was listed as a step of C by -0.12 ± 362 %, found by drift, and drawn with that error."""
+    time_unix = STEPPED / 1e6 + 86_400.0 * np.arange(-200, 200)
+    antennas = np.arange(1, 8)
+    ln_c = np.random.default_rng(1).normal(0.0, 0.01, (7, 400, 3)).astype(np.float32)
+    is_after = time_unix >= STEPPED / 1e6
+    ln_c[antennas == 1, ~is_after] = np.nan
+    ln_c[np.ix_(antennas == 2, is_after)] = np.nan
+    arrays = write_events({"X": EventModes(antennas, time_unix, ln_c)})
+    year = Sums("drift", Scope("CS002"), BEGIN, STEPPED, "", 0, 0, 0, 0, arrays)
+    known = {("CS002", antenna): (STEPPED / 1e6,) for antenna in (1, 2, 3)}
+    history = assemble_history([year], known)
+    report = describe_followed(history, follow(history), np.linspace(30.0, 80.0, 51))
+    report |= {"recorded": list(_find_recorded(history, known))}
+    old = Change("CS002", ((1, "X"), (2, "X")), "step", STEPPED, 0, -0.001, 3.6)
+    with watched.database.write() as stores:
+        stores.changes.note(old, Evidence("drift", "", 0.0, 0))
+        stores.changes.note(old, Evidence("record", "", None, 0))
+        settle_changes(stores, report, _list_measured(history), 1)
+        kept = {tuple(one.change.antennas): one for one in stores.changes.kept()}
+    assert {of: one.change.size is None for of, one in kept.items()} == {(1, 2): True, (3,): False}
+    assert (kept[3,].change.size_sigma or 1.0) < 0.01
+    assert {by.source for one in kept.values() for by in one.evidence if by.ended is None} == {"record"}
 
 
 def test_a_change_found_in_one_dipole_is_of_both_once_it_is_found_in_both(watched: Factory) -> None:
