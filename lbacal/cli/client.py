@@ -170,7 +170,7 @@ def print_curve(curve: dict[str, Any], *, is_explained: bool = False) -> None:
     mean = f" (mean of {chain['paths']} paths)" if chain else ""
     through = f"{mean} through its own cable {chain['cable']}" if chain and is_path else mean
     until = valid["to"] or "further notice"
-    print(f"  answered by {curve['answered_by']}{through}, valid from {valid['from']} to {until}")
+    print(f"  answered by {curve['answered_by']}{through}, promoted for {valid['from']} to {until}")
     if is_explained:
         print(f"  why: {curve.get('why', 'this answer is of a release that does not say')}")
     if curve["flag_reason"]:

@@ -255,6 +255,16 @@ class KeptChange:
         return any(one.source == PERSON and one.ended is None for one in self.evidence)
 
     @property
+    def is_on_record(self) -> bool:
+        """Whether the record of the instrument says so."""
+        return any(one.source == RECORD and one.ended is None for one in self.evidence)
+
+    @property
+    def bounds_epoch(self) -> bool:
+        """Whether an epoch ends there and another begins."""
+        return bool(self.cuts) or (self.stands and self.is_on_record)
+
+    @property
     def ended(self) -> Instant | None:
         """When the last source no longer said so; None while one does."""
         ends = [one.ended for one in self.evidence]
@@ -295,8 +305,8 @@ class KeptChange:
         return self._list_steps() if self.decision == DISMISSED else []
 
     def _list_steps(self) -> list[Cut]:
-        one, is_on_record = self.change, any(by.source == RECORD and by.ended is None for by in self.evidence)
-        if one.kind != STEP or is_on_record:
+        one = self.change
+        if one.kind != STEP or self.is_on_record:
             return []
         power = None if one.size is None else (1.0 + one.size) ** -2.0  # C^2 is proportional to 1 / power
         power = None if power is None or abs(math.log(power)) > LARGEST_TAKEN_OUT else power
@@ -355,7 +365,8 @@ def concerns(kept: KeptChange, antenna: int | None, dipole: str | None) -> bool:
 class Epoch:
     """A time [start, end) in which nothing changed that is in force or on record.
 
-    `because` and `ended_by` are the changes there; None where a record of the instrument begins or ends, or it is open.
+    `because` and `ended_by` are the changes there; None where it is open, or a record of the instrument begins or ends
+    of which no change tells yet.
     `start_sigma` and `end_sigma` are the errors of their dates.
     """
 
@@ -368,21 +379,21 @@ class Epoch:
 
 
 def split_epochs(scope: Scope, changes: Iterable[KeptChange], records: Iterable[AntennaRecord] = ()) -> list[Epoch]:
-    """The times between changes in force at which windows of a path are cut, or which are of a whole station.
+    """The times between changes of a path that are in force, or that are of a whole station.
 
     Parameters
     ----------
     changes
         Those of the scope itself; others are not left out.
     records
-        Those of a path in the instrument, which cut by themselves.
+        Those of a path in the instrument, which count before they are told as changes.
     """
     ends = (end for one in records for end in (one.since, one.until) if end is not None)
     dates: dict[Instant, tuple[int | None, int]] = {round(end * SECOND_US): (None, 0) for end in ends}
     dates |= {
         one.change.date: (one.number, one.change.sigma)
         for one in changes
-        if one.cuts and (scope.antenna is not None or not one.change.paths)
+        if one.bounds_epoch and (scope.antenna is not None or not one.change.paths)
     }
     edges = [(None, (None, 0)), *sorted(dates.items()), (None, (None, 0))]
     return [

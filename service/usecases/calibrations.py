@@ -385,8 +385,9 @@ class Calibrations:
         followed = range(min(ends) // SLOW_STEP_US * SLOW_STEP_US, max(ends), SLOW_STEP_US)
         for change in kept:
             near = round(REACH * change.change.sigma)
-            for cut in change.cuts:
-                edges.setdefault(cut.station, set()).update((cut.date, cut.date - near + 1, cut.date + near))
+            if change.bounds_epoch:
+                date = change.change.date
+                edges.setdefault(change.change.station, set()).update((date, date - near + 1, date + near))
             if change.slow is not None:
                 edges.setdefault(change.change.station, set()).update(followed)
         everywhere = edges.get(None, set())
@@ -402,11 +403,11 @@ ByAntenna = Mapping[tuple[str | None, int | None], Sequence[KeptChange]]
 
 
 def group_by_antenna(kept: Iterable[KeptChange]) -> ByAntenna:
-    """Changes that cut windows or that C follows, by the antennas that they are of."""
+    """Changes that bound epochs or that C follows, by the antennas that they are of."""
     found: dict[tuple[str | None, int | None], list[KeptChange]] = {}
     for one in kept:
         antennas: Sequence[int | None] = one.change.antennas or [None]
-        for antenna in antennas if one.cuts or one.slow else ():
+        for antenna in antennas if one.bounds_epoch or one.slow else ():
             found.setdefault((one.change.station, antenna), []).append(one)
     return found
 

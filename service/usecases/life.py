@@ -75,8 +75,9 @@ class Lives:
         select_paths(self.instrument, station, antenna, dipole)
         scope = Scope(station, antenna, dipole)
         changes = [
-            # windows are cut alike for both dipoles
-            one for one in self.changes.list_doubted(station) if concerns(one, antenna, None if one.cuts else dipole)
+            # epochs are alike for both dipoles
+            one for one in self.changes.list_doubted(station)
+            if concerns(one, antenna, None if one.bounds_epoch else dipole)
         ]  # fmt: skip
         alarms = self.alarms.newest(AlarmsAsked(STATES, MOST, station=station))
         with self.database.read() as stores:

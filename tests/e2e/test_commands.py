@@ -32,7 +32,7 @@ def test_effective_prints_the_calibration_on_a_date(service: Any) -> None:
     said = service.run("effective", "--station", "CS002", "--antenna", "1", "--dipole", "X", "--at", "2014-05-01")
     assert said.returncode == 0, said.stderr
     assert said.stdout.startswith("CS002 antenna 1 X: version ")
-    assert "answered by antenna, valid from 2014-01-01T00:00:00Z to 2015-01-01T00:00:00Z" in said.stdout
+    assert "answered by antenna, promoted for 2014-01-01T00:00:00Z to 2015-01-01T00:00:00Z" in said.stdout
     assert len(said.stdout.splitlines()) == 3 + 51
 
 

@@ -45,7 +45,7 @@ changes of what paths are served: 5
   CS001 antenna 2 Y, 2014-01-01T00:00:00Z to 2015-01-01T00:00:00Z: nothing -> STATION
 $ effective --station CS001 --antenna 0 --dipole X --at 2014-05-01 --why
 CS001 antenna 0 X: version PATH
-  answered by antenna, valid from 2014-01-01T00:00:00Z to further notice
+  answered by antenna, promoted for 2014-01-01T00:00:00Z to further notice
   why: made 2019-12-31T00:00:00Z by test (test), in effect since 2020-01-01T00:00:00Z by key 1 (new cables); \
 no change in force bounds its epoch
   frequency_mhz             c  c_sigma_stat  c_sigma_sys   (V per ADC unit)  flag

@@ -27,6 +27,7 @@ from lbacal_core.provenance import canonical_json
 from service.app import make_app
 from service.factory import Factory
 from service.schema.tables import calibration
+from service.storage.changes import RECORD, Change, Evidence
 from service.storage.versions import Version
 from service.usecases.calibrations import Calibrations
 from tests.service.conftest import add_spectra, flat_spectra, instant, like, new_version, promote
@@ -632,3 +633,22 @@ def test_changes_in_force_bound_the_epoch_of_their_antenna_and_are_edges(
     assert not {march, september} & set(of_station["CS002"])
     assert before == client.get("/v1/calibrations/edges", params={"as_of": as_of}).json()
     assert client.get("/v1/paths/CS001/0/X/life").json()["epochs"][1]["because"] == first
+
+
+def test_a_change_on_record_bounds_the_epoch_in_every_answer(
+    client: TestClient, stored: Stored, factory: Factory
+) -> None:
+    """It bounded epochs of the life alone where the version was made before it was on record: C has no such epoch."""
+    promote(client, stored["path"], "2014-01-01", "2015-01-01")
+    change = Change("CS001", ((0, None),), "step", instant("2014-06-01"), 0)
+    with factory.database.write() as stores:
+        number = stores.changes.note(change, Evidence(RECORD, "", None, factory.clock())).number
+    epochs = client.get("/v1/paths/CS001/0/X/life").json()["epochs"]
+    assert [one["because"] for one in epochs] == [None, number]
+    for at, epoch, does in (("2014-05-31", epochs[0], "ends"), ("2014-06-01", epochs[1], "begins")):
+        (curve,) = ask(client, at, **PATH).json()["curves"]
+        assert (curve["epoch"], curve["flag_reason"]) == (epoch, None)
+        assert f"change {number} of 2014-06-01 {does} its epoch" in curve["why"]
+        assert f"change {number} of 2014-06-01 {does} its epoch" in client.get(f"/paths/CS001/0/X?at={at}").text
+    edges = client.get("/v1/calibrations/edges", params={"as_of": format_instant(factory.clock())}).json()["stations"]
+    assert ["2014-06-01T00:00:00Z" in one["edges"] for one in edges if one["station"]] == [True, False]
