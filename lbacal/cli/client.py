@@ -168,7 +168,7 @@ def print_curve(curve: dict[str, Any], *, is_explained: bool = False) -> None:
     print(f"{owner}: version {curve['calibration'][:12]}")
     valid, chain = curve["valid"], curve["reference"]
     mean = f" (mean of {chain['paths']} paths)" if chain else ""
-    through = f"{mean} through its own cable {chain['cable']}" if chain and is_path else mean
+    through = f"{mean} through its own cable {chain['cable']}" if chain and chain["cable"] else mean
     until = valid["to"] or "further notice"
     print(f"  answered by {curve['answered_by']}{through}, promoted for {valid['from']} to {until}")
     if is_explained:

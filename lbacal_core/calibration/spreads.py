@@ -223,7 +223,7 @@ def carry_to_path(
     cable = chain.cables.cable_of(station, antenna, time_unix)
     if cable is None:
         when = np.datetime64(round(time_unix), "s").astype("datetime64[D]")
-        return ServedCurve(named, ones, None, UNCERTAIN, f"no cable of {path} is on record at {when}")
+        return ServedCurve(named, ones, None, UNCERTAIN, f"its cable is not known: {path} is not on record at {when}")
     if is_own and np.array_equal(chain.cables.cables[cable], chain.mean_loss):
         return ServedCurve(named, ones, cable, OK, None)
     factor = np.sqrt(chain.mean_loss / chain.cables.cables[cable])

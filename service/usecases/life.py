@@ -145,8 +145,9 @@ class BadPath:
 def list_bad(
     database: Database, instrument: Instrument, instant: Instant, station: str | None
 ) -> tuple[list[BadPath], int]:
-    """The bad paths of a station, or of all, in order of path, one row a reason; and how many paths have C then."""
-    paths = select_paths(instrument, station, None, None)
+    """The bad paths on record of a station, or of all, in order of path, a row a reason; and how many have C then."""
+    on_record = {(one.station, one.antenna) for one in instrument.antennas if one.covers(instant / SECOND_US)}
+    paths = [path for path in select_paths(instrument, station, None, None) if path.parts[:2] in on_record]
     with database.read() as stores:
         alarms = stores.alarms.newest(AlarmsAsked(STATES, MOST, kind=LOST_PATH, station=station), instant)
         years = [one for one in stores.sums.during(DRIFT, instant - YEAR_US, instant + YEAR_US) if one.arrays]

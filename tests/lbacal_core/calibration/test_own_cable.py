@@ -103,7 +103,7 @@ def test_without_a_known_chain_or_cable_the_stored_curve_is_told_with_a_flag(ans
     for served in (unknown, absent):
         assert served.flag == "uncertain"
         np.testing.assert_array_equal(served.factor, 1.0)
-    assert absent.reason == "no cable of CS002 antenna 77 X is on record at 2014-05-13"
+    assert absent.reason == "its cable is not known: CS002 antenna 77 X is not on record at 2014-05-13"
     assert carry_to_path(*answer, "CS002", 77, "X", -1e11).reason.endswith("-1199-02-15")
 
 
