@@ -280,8 +280,9 @@ class KeptChange:
 
     @property
     def state(self) -> str:
-        """Say whether it has ended, waits for a refit, or what was decided."""
-        decided = self.decision.replace("_", " ") if self.is_refitted else NOT_REFITTED
+        """Say whether it has ended, waits for a refit, or what was decided, or is on record where nobody decided."""
+        decision = "on record" if self.is_on_record and self.said is None else self.decision.replace("_", " ")
+        decided = decision if self.is_refitted else NOT_REFITTED
         return decided if self.ended is None else "ended"
 
     @property

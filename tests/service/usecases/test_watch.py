@@ -358,6 +358,7 @@ def test_an_antenna_that_came_or_went_by_the_record_has_no_size_that_nobody_meas
     assert {of: one.change.size is None for of, one in kept.items()} == {(1, 2): True, (3,): False}
     assert (kept[3,].change.size_sigma or 1.0) < 0.01
     assert {by.source for one in kept.values() for by in one.evidence if by.ended is None} == {"record"}
+    assert {one.state for one in kept.values()} == {"on record"}
 
 
 def test_a_change_found_in_one_dipole_is_of_both_once_it_is_found_in_both(watched: Factory) -> None:
