@@ -108,8 +108,8 @@ class CurveInEffect:
     @property
     def flags(self) -> list[str]:
         """The flag of each channel."""
-        flags: list[str] = self.served.curve.flags.tolist()
-        return [UNCERTAIN if self.flag_reason and flag == OK else flag for flag in flags]
+        is_uncertain, flags = self.flag_reason is not None, self.served.curve.flags.tolist()
+        return [UNCERTAIN if is_uncertain and flag == OK else flag for flag in flags]
 
     @property
     def chain(self) -> ReferenceChain | None:
