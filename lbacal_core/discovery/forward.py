@@ -26,12 +26,10 @@ from lbacal_core.grids import Floats
 from lbacal_core.instrument.chain import ChainTerms
 from lbacal_core.instrument.sidereal import SIDEREAL_DAY_S
 from lbacal_core.simulation.simulation import Simulation, terms_of
-from lbacal_core.spectra.spectra import Spectra
+from lbacal_core.spectra.spectra import POSSIBLE, Spectra
 
 INSTANTS = 96
 """Instants of a sidereal day from the one asked for on: a compression acts by the power over its mean."""
-COLDEST_C, HOTTEST_C = -90.0, 60.0
-"""Air on the ground has been colder nowhere, and hotter nowhere (WMO, World Weather and Climate Extremes Archive)."""
 UNUSED = "no cause of the model follows the temperature: it changes nothing"
 
 
@@ -101,8 +99,9 @@ def _act_at(
     curve: CalibrationCurve, simulation: Simulation, time_unix: float, temperature_c: float | None
 ) -> Acting | None:
     """What the causes make of the chain of a path at an instant; None where there is nothing to be said."""
-    if temperature_c is not None and not COLDEST_C <= temperature_c <= HOTTEST_C:
-        raise BadInputError("temperature", f"deg C, {COLDEST_C:g} to {HOTTEST_C:g}", f"{temperature_c:g}")
+    coldest, hottest = POSSIBLE[TEMPERATURE]
+    if temperature_c is not None and not coldest <= temperature_c <= hottest:
+        raise BadInputError("temperature", f"deg C, {coldest:g} to {hottest:g}", f"{temperature_c:g}")
     times = np.linspace(time_unix, time_unix + SIDEREAL_DAY_S, INSTANTS, endpoint=False)
     named: Sequence[tuple[AdoptedCause, Hypothesis]] = ()
     if simulation.causes.of_stations([str(curve.station)]).causes:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats, require_channels
 from lbacal_core.instrument.antennas import EXPECTED, are_dipole_names
-from lbacal_core.spectra.spectra import BLOCK_S, Spectra, name_event
+from lbacal_core.spectra.spectra import BLOCK_S, Spectra, name_event, require_possible
 
 
 @dataclass(frozen=True)
@@ -220,6 +220,8 @@ class _Sums:
         count = block.time_unix.size
         if count == 0:
             return
+        instants = block.time_unix.astype("datetime64[s]").astype(np.str_)
+        require_possible(self.source.name, block.environment, instants)  # before a mean hides it
         if self.begin is None:
             self.begin = float(block.time_unix[0] - block.duration_s[0] / 2)
         since = block.time_unix - self.begin

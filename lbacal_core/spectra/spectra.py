@@ -34,6 +34,12 @@ WIDEST_OF_SPACING = 10
 MAX_COVARIATES = 16
 """Covariates of one event."""
 _COVARIATE = re.compile(r"[a-z][a-z0-9_]{0,39}", re.ASCII)
+POSSIBLE = {"temperature_c": (-90.0, 60.0), "rain_mm_h": (0.0, 2300.0)}
+"""Least and most of a covariate anywhere on Earth, rounded outwards.
+
+Air on the ground was -89.2 C at Vostok in 1983 and 56.7 C at Furnace Creek in 1913 (WMO, World Weather and Climate
+Extremes Archive); 38 mm of rain fell in a minute at Barot in 1970 (WMO, Guide to Hydrological Practices).
+"""
 
 _COLUMNS = ("event_id", "time_unix", "station", "antenna", "dipole", "blocks")
 _BY_ROW = (*_COLUMNS, "power")
@@ -177,6 +183,7 @@ class Spectra:
                 raise BadInputError(f"{self.origin}: env/{name}", f"{rows} numbers, one a row", f"{values.shape}")
             self._require(f"env/{name}", ~np.isinf(values), "a number, or NaN where unknown")
             known += np.isfinite(values)
+        require_possible(self.origin, self.environment, self.event_id)
         if np.any(known > MAX_COVARIATES):
             row = int(np.argmax(known))
             raise BadInputError(
@@ -472,6 +479,21 @@ def lay_out_rows(rows: Sequence[Mapping[str, Any]], channels: int) -> dict[str, 
         name: np.array([row[name] for row in rows], dtype=_KINDS[name].read_as) for name in _BY_ROW
     }
     return columns | {"power": columns["power"].reshape(len(rows), channels)}
+
+
+def require_possible(place: str, environment: Mapping[str, Floats], names: NDArray[np.str_]) -> None:
+    """Refuse covariates that nowhere on Earth has, such as a number that stands for an unknown one, or Kelvin.
+
+    One such temperature decides the size of a cause that follows it. `names` tell whose they are, shape (row,).
+    """
+    for name, values in environment.items():
+        low, high = POSSIBLE.get(name, (-np.inf, np.inf))
+        bad = (values < low) | (values > high)
+        if np.any(bad):
+            expected = f"{low:g} to {high:g} (where it is not known write NaN, or leave it out"
+            expected += "; from Kelvin subtract 273.15)" if name == "temperature_c" else ")"
+            found = f"{values[bad][0]:g} in {_listed(np.unique(names[bad]).tolist())}"
+            raise BadInputError(f"{place}: env/{name}", expected, found)
 
 
 def _listed(names: list[str]) -> str:

@@ -49,6 +49,13 @@ def test_a_flagged_integration_does_not_count_in_the_mean_of_its_interval(table)
     assert spectra.environment["temperature_c"][0] == pytest.approx((10 * 7.5 + 30 * 9.5) / 40)
 
 
+def test_a_missing_value_of_a_temperature_is_not_hidden_in_the_mean_of_its_interval(table):
+    """Beside eleven of 10 degrees a -999 was a mean of -74, which is possible."""
+    table.write_text(TABLE.replace("7.5", "-999"))
+    with pytest.raises(BadInputError, match=r"env/temperature_c: .*found -999 in 2014-05-01T03:00:00"):
+        average(open_source(table), 300.0)
+
+
 @pytest.mark.parametrize(
     ("before", "after", "message"),
     [

@@ -138,6 +138,14 @@ WRONG_CONTENT: dict[str, tuple[Callable[[h5py.File], None], str]] = {
     ),
     "the same key twice": (put("event_id", [b"one"] * 24), "row .*: expected one spectrum per event, station, antenna"),
     "infinite temperature": (put_value("env/temperature_c", 2, np.inf), "env/temperature_c, row 2: .*found inf"),
+    "a temperature in Kelvin": (
+        put("env/temperature_c", np.full(24, 283.15)),
+        "env/temperature_c: expected -90 to 60 .*NaN.* from Kelvin subtract 273.15.* found 283.15 in ",
+    ),
+    "rain of a missing value": (
+        put_value("env/rain_mm_h", 2, -999.0),
+        r"rain_mm_h: expected 0 to 2300 .*found -999 in ",
+    ),
     "falling frequency": (
         put("frequency_mhz", np.array([33.0, 32.0, 31.0, 30.0])),
         "channel 1: expected more than 33 MHz .* found 32 MHz",

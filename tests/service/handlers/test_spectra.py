@@ -270,6 +270,7 @@ BAD: dict[str, Any] = {
     "a slash in an event": batch(spectrum(event_id="2014/17")),
     "an event called .": batch(spectrum(event_id=".")),
     "an event called ..": batch(spectrum(event_id="..")),
+    "a temperature in Kelvin": batch(spectrum(env={"temperature_c": 283.15})),
     "a covariate with a space": batch(spectrum(env={"wind speed": 1.0})),
     "17 covariates": batch(spectrum(env={f"name_{k}": 1.0 for k in range(17)})),
     "17 covariates of one event": batch(

@@ -456,7 +456,7 @@ def test_the_page_on_backups_is_followed_word_by_word(
     factory.keys.create(("read",))
     factory.database.close()
     first = rows_of(settings.sqlalchemy_url)
-    assert (first["revision"], len(first["calibration"]), len(first["api_key"])) == ([("0032",)], len(stored), 1)
+    assert (first["revision"], len(first["calibration"]), len(first["api_key"])) == ([("0033",)], len(stored), 1)
     follow("Upgrade")
     upgraded = rows_of(settings.sqlalchemy_url)
     assert upgraded == first

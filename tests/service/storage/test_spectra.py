@@ -16,6 +16,7 @@ from lbacal_core.spectra.screening import SHARE_OF_STATE, find_lasting
 from lbacal_core.spectra.spectra import Spectra
 from service.errors import ConflictError
 from service.factory import Factory
+from service.schema.tables import event
 from service.storage.migration import upgrade
 from service.storage.spectra import Window
 from service.usecases.intake import judge_far
@@ -231,6 +232,24 @@ def test_what_an_older_schema_holds_is_counted_by_the_upgrade(factory: Factory) 
     upgrade(factory.database)
     with factory.database.engine.connect() as connection:
         assert connection.exec_driver_sql(kept).all() == before
+
+
+def test_covariates_that_are_not_possible_are_not_known_after_an_upgrade(factory: Factory) -> None:
+    """Their stations had no fit, and the true temperature of an event was there already."""
+    spectra = make_spectra(3, 1)
+    add_spectra(factory, spectra)
+    wrong = [(1, '{"temperature_c": -999.0, "rain_mm_h": 1.0}'), (2, '{"temperature_c": 283.15}')]
+    with factory.database.engine.begin() as connection:
+        for number, env in wrong:
+            connection.execute(sqlalchemy.update(event).where(event.c.id == number).values(env=env))
+        connection.exec_driver_sql("UPDATE alembic_version SET version_num = '0032'")
+    upgrade(factory.database)
+    with factory.database.read() as stores:
+        known = [one.env for one in stores.spectra.events()]
+    assert known == [{"rain_mm_h": 1.0}, {}, {"temperature_c": 10.0}]
+    add_spectra(factory, spectra)
+    with factory.database.read() as stores:
+        assert [one.env["temperature_c"] for one in stores.spectra.events()] == 3 * [10.0]
 
 
 @pytest.mark.parametrize(
