@@ -7,6 +7,7 @@ import json
 import os
 import time
 import warnings
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
 from inspect import signature
@@ -199,7 +200,7 @@ class Client:
         """Send spectra in bundles of whole events, leaving out those that the server says it has: it can be run again.
 
         The server acknowledges each bundle as one: it stores all of it or nothing. Where it has `warnings`, they are
-        beside the counts.
+        beside the counts, and so is how many `covariates` became known of events that were there.
 
         Parameters
         ----------
@@ -209,7 +210,7 @@ class Client:
         measured = spectra if isinstance(spectra, Spectra) else read_spectra(path_of("ingest", spectra))
         if not len(measured):
             raise BadInputError(measured.origin, "spectra", "none")
-        total, warned = {"received": 0, "stored": 0, "duplicates": 0}, list[str]()
+        total, warned = Counter(received=0, stored=0, duplicates=0), list[str]()
         events, sent = len(np.unique(measured.event_id)), 0
         bundles = files_of_events(measured, BUNDLE)
         while some := {hashlib.sha256(one[-1]).hexdigest(): one for one in islice(bundles, ASKED_AT_ONCE)}:
@@ -219,13 +220,13 @@ class Client:
                 receipt = {"received": rows, "stored": 0, "duplicates": rows}
                 if digest not in known:
                     receipt = self._transport.request("POST", "/v1/spectra", file=file).json()
-                total = {name: total[name] + receipt[name] for name in total}
-                told += receipt.get("warnings", [])
+                told += receipt.pop("warnings", [])
+                total.update(receipt)
                 sent += count
                 if on_event:
                     on_event(sent, events)
             warned += told
-        return {**total, "warnings": warned} if warned else total
+        return {**total, "warnings": warned} if warned else dict(total)
 
     def refit(
         self, scope: str, since: Any, until: Any, *, reason: str, station: str | None = None,

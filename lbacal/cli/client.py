@@ -151,7 +151,9 @@ def print_receipt(total: dict[str, Any]) -> None:
     """Print how many spectra were sent and stored."""
     print_warnings(total)
     sent = write_count(total["received"], "spectrum", "spectra")
-    print(f"{sent} sent: {total['stored']} stored, {total['duplicates']} there already")
+    known = total.get("covariates", 0)
+    more = f", {write_count(known, 'covariate')} of events that were there known now" if known else ""
+    print(f"{sent} sent: {total['stored']} stored, {total['duplicates']} there already{more}")
 
 
 def print_warnings(receipt: dict[str, Any]) -> None:

@@ -38,11 +38,12 @@ def store_spectra(request: Request, use: UseCases, _caller: Writer, body: Spectr
     """Store spectra.
 
     A whole batch or nothing, as JSON or as a spectra file (HDF5); sending the same again does no harm. 201 if
-    anything was stored, else 200. `warnings` name the paths whose level does not belong to what is stored.
+    anything was stored, else 200. `warnings` name the paths whose level does not belong to what is stored, and events
+    with other covariates.
     """
     receipt = use.intake.receive(body, is_file=media_type_of(request) == HDF5)
-    told = fill_answer(ReceiptAnswer, receipt, warnings=list(receipt.warnings))
-    told = {name: value for name, value in told.items() if value != []}
+    more = {"warnings": list(receipt.warnings) or None, "covariates": receipt.covariates or None}
+    told = {name: value for name, value in fill_answer(ReceiptAnswer, receipt, **more).items() if value is not None}
     return answer(request, told, status=201 if receipt.stored else 200)
 
 

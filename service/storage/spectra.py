@@ -68,6 +68,25 @@ OfStation = tuple[int, str]
 """Number of an event, and a station."""
 
 
+@dataclass(frozen=True)
+class Added:
+    """What was new of a batch.
+
+    Attributes
+    ----------
+    spectra
+        How many are stored now that were not.
+    covariates
+        How many became known of events that were there.
+    differing
+        Events of which another value than the stored one was sent, by covariate; the stored one stays.
+    """
+
+    spectra: int
+    covariates: int
+    differing: Mapping[str, Sequence[str]]
+
+
 class Arrivals:
     """Stores what is new of a batch and refuses what contradicts the store."""
 
@@ -76,13 +95,13 @@ class Arrivals:
         self._is_sqlite = connection.dialect.name == "sqlite"
         self._sql = _SQL[connection.dialect.name]
 
-    def add(self, spectra: Spectra, far: Floats | None = None) -> int:
-        """Store what is new and return its count; a different spectrum under a stored key is a conflict.
+    def add(self, spectra: Spectra, far: Floats | None = None) -> Added:
+        """Store what is new and count it; a different spectrum under a stored key is a conflict.
 
         `far` is power over the usual power of a path, shape (row,), for spectra that wait; NaN for others.
         """
         times = np.round(spectra.time_unix * 1e6).astype(np.int64)
-        events = self._number_events(spectra, times)
+        events, covariates, differing = self._number_events(spectra, times)
         paths = self._number_paths(spectra)
         order = np.lexsort((paths, events))
         buffer = spectra.power[order].astype(POWER).tobytes()
@@ -98,7 +117,7 @@ class Arrivals:
         _count(self._connection, Counter(_those(keys, new)), Counter(_those(keys, new & is_far)))
         if not np.all(new):
             self._require_same(spectra, order, rows)
-        return int(np.sum(new))
+        return Added(int(np.sum(new)), covariates, differing)
 
     def find_receipts(self, digests: Sequence[str]) -> dict[str, tuple[int, list[str]]]:
         """How many spectra bodies hold that were stored whole before, and what was said of them, by SHA-256."""
@@ -169,8 +188,13 @@ class Arrivals:
         found = {(row.path, row.event) for row in written}
         return np.array([row[:2] in found for row in rows], dtype=bool)
 
-    def _number_events(self, spectra: Spectra, times: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Row number of the event of each spectrum, shape (row,); events not there are made."""
+    def _number_events(
+        self, spectra: Spectra, times: NDArray[np.int64]
+    ) -> tuple[NDArray[np.int64], int, dict[str, list[str]]]:
+        """Row number of the event of each spectrum, shape (row,), and what `_add_covariates` returns.
+
+        Events not there are made.
+        """
         found, first, of_row = np.unique(spectra.event_id, return_index=True, return_inverse=True)
         names: list[str] = found.tolist()
         covariates = _covariates_of_events(spectra, of_row, len(names))
@@ -178,8 +202,10 @@ class Arrivals:
         self._insert("event", list(zip(names, times[first].tolist(), texts, strict=True)))
         stored = self._stored_events(names)
         self._require_one_time(names, of_row, times, stored)
-        self._add_covariates({stored[name]: given for name, given in zip(names, covariates, strict=True) if given})
-        return np.array([stored[name].id for name in names], dtype=np.int64)[of_row]
+        told = self._add_covariates(
+            {stored[name]: given for name, given in zip(names, covariates, strict=True) if given}
+        )
+        return np.array([stored[name].id for name in names], dtype=np.int64)[of_row], *told
 
     def _stored_events(self, names: Sequence[str]) -> dict[str, Any]:
         found = select_many(self._connection, select(event), event.c.event_id, names)
@@ -198,12 +224,14 @@ class Arrivals:
                 f"{EVENT_SPAN_US / 1e6:.0f} s: give the other event a name of its own"
             )
 
-    def _add_covariates(self, given: Mapping[Any, Mapping[str, float]]) -> None:
+    def _add_covariates(self, given: Mapping[Any, Mapping[str, float]]) -> tuple[int, dict[str, list[str]]]:
         """Covariates belong to the event: the first value given of each stays, a value not known before is added.
 
-        The merge happens inside the statement, so that two clients who add different names both succeed.
+        The merge happens inside the statement, so that two clients who add different names both succeed. Returns how
+        many were added, and the events that have another value by covariate.
         """
-        changes = []
+        changes, added = [], 0
+        differing: dict[str, list[str]] = {}
         for row, values in given.items():
             known = json.loads(row.env or "{}")
             new = {name: value for name, value in values.items() if name not in known}
@@ -212,8 +240,13 @@ class Arrivals:
                 raise BadInputError(f"env of event {row.event_id}", f"at most {MAX_COVARIATES} names", found)
             if new:
                 changes.append((json.dumps(new), row.id))
+            added += len(new)
+            for name in known.keys() & values.keys():
+                if known[name] != values[name]:
+                    differing.setdefault(name, []).append(row.event_id)
         if changes:
             self._connection.exec_driver_sql(self._sql["env"], sorted(changes, key=lambda change: change[1]))
+        return added, differing
 
     def _number_paths(self, spectra: Spectra) -> NDArray[np.int64]:
         """Row number of the path of each spectrum, shape (row,); paths not there are made."""
@@ -337,7 +370,7 @@ class SpectraStore(Store):
 
     def add(self, spectra: Spectra, far: Floats | None = None) -> int:
         """Store what is new and return the count of its spectra; `far` as in `Arrivals.add`."""
-        return self.arrivals.add(spectra, far)
+        return self.arrivals.add(spectra, far).spectra
 
     def load(
         self,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from statistics import median
@@ -30,6 +30,7 @@ MAX_NAMES_IN_BATCH = 64
 """Names of covariates in one batch: each is a column of it in memory."""
 PATHS_NAMED = 20
 """An answer warns of so many paths one by one."""
+EVENTS_NAMED = 5
 FEWEST_BESIDE = 3
 """So many stored spectra of a path say what is usual; one may be an exception."""
 Place = Callable[[str, int], str]
@@ -44,11 +45,15 @@ def name_row(column: str, row: int) -> str:
 
 @dataclass(frozen=True)
 class Receipt:
-    """The result of storing a batch; `warnings` name the paths whose spectra are stored and wait for the daily run."""
+    """The result of storing a batch; `warnings` say which spectra wait for the daily run, and which covariates differ.
+
+    `covariates` counts those that became known of events that were there.
+    """
 
     received: int
     stored: int
     warnings: Sequence[str] = ()
+    covariates: int = 0
 
     @property
     def duplicates(self) -> int:
@@ -134,10 +139,11 @@ class Intake:
         _require_one_time_an_event(spectra, name_place)
         with self.database.write() as stores:
             far = find_far(stores, spectra)
-            stored, warnings = stores.spectra.add(spectra, far), warn_of_far(spectra, far)
+            added = stores.spectra.arrivals.add(spectra, far)
+            warnings = [*warn_of_far(spectra, far), *_warn_of_covariates(added.differing)]
             if digest is not None:
                 stores.spectra.arrivals.keep_receipt(digest, received, warnings, self.clock())
-            return Receipt(received, stored, warnings)
+            return Receipt(received, added.spectra, warnings, added.covariates)
 
     def _require_channels(self, place: str, frequency_mhz: Floats) -> None:
         name = f"instrument {self.instrument.name} (lbacal spectra and lbacal import average to them with --instrument;"
@@ -208,6 +214,16 @@ def warn_of_far(spectra: Spectra, far: Floats) -> list[str]:
     ]
     more = len(told) - PATHS_NAMED
     return told if more <= 0 else [*told[:PATHS_NAMED], f"and {more} more paths in the same way"]
+
+
+def _warn_of_covariates(differing: Mapping[str, Sequence[str]]) -> list[str]:
+    """One sentence for each covariate that was sent with another value than the stored one."""
+    return [
+        f"{name} of {write_count(len(events), 'event')} is stored with another value, and what is stored stays: "
+        f"{', '.join(events[:EVENTS_NAMED])}{f' and {more} more' if (more := len(events) - EVENTS_NAMED) > 0 else ''}; "
+        "to correct it, flag the event (POST /v1/events/{id}/flag) and send all its spectra under another event"
+        for name, events in sorted(differing.items())
+    ]
 
 
 def judge_far(stores: Stores) -> int:

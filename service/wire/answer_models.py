@@ -31,8 +31,10 @@ class ReceiptAnswer(Answer):
     duplicates: int = Field(description="there already, with the same content")
     warnings: list[str] | None = Field(
         None,
-        description="paths whose level is far from what is stored; in no fit before the night. Absent where none is",
+        description="paths whose level is far from what is stored; in no fit before the night. Covariates that differ "
+        "from what is stored, which stays. Absent where none is",
     )
+    covariates: int | None = Field(None, description="how many became known of events that were there; absent where 0")
 
 
 class ReceiptsAnswer(Answer):

@@ -245,6 +245,10 @@ ADOPTION = {"model": VERSION, "cause": "a step", "promise": [-2.0, 1.0], "change
 TOLD: list[tuple[Callable[[Any], object], dict[str, Any], str]] = [
     (print_receipt, {"received": 3, "stored": 2, "duplicates": 1}, "3 spectra sent: 2 stored, 1 there already"),
     (
+        print_receipt, {"received": 3, "stored": 0, "duplicates": 3, "covariates": 1},
+        "3 spectra sent: 0 stored, 3 there already, 1 covariate of events that were there known now",
+    ),
+    (
         lambda job: print_job(job, most=1), JOB,
         """job 7: refit station CS002 2014-01-01 to 2015-01-01, failed (50%), versions: 3, promoted: 1, no news: 1; map
   no room

@@ -80,6 +80,13 @@ def test_covariates_belong_to_the_event_and_the_first_value_stays(client: TestCl
     again = client.post("/v1/spectra", json=batch(spectrum(0, env={"temperature_c": 9.0, "rain_mm_h": 1.5})))
     assert again.status_code == 200
     assert client.get("/v1/events").json()["events"][0]["env"] == {"temperature_c": 4.0, "rain_mm_h": 1.5}
+    assert again.json()["covariates"] == 1, "one became known"
+    (sentence,) = again.json()["warnings"]
+    assert sentence.startswith("temperature_c of 1 event is stored with another value, and what is stored stays: e0; ")
+    env = {"temperature_c": 4.0, "rain_mm_h": 1.5}
+    assert client.post("/v1/spectra", json=batch(spectrum(0, env=env), spectrum(1, env=env))).json() == {
+        "received": 2, "stored": 1, "duplicates": 1,
+    }, "those of a new event, and those that are stored, are no news"  # fmt: skip
 
 
 def post(client: TestClient, content: str | bytes) -> Any:
@@ -134,7 +141,8 @@ def test_a_spectra_file_is_stored_as_the_same_json_is(client: TestClient, file: 
     rows = [spectrum(e, antenna=a, dipole=d) for e in range(2) for a in range(2) for d in "XY"]
     assert client.post("/v1/spectra", json=batch(*rows[:3])).status_code == 201
     first = post_file(client, file)
-    assert (first.status_code, first.json()) == (201, {"received": 8, "stored": 5, "duplicates": 3})
+    answered = {"received": 8, "stored": 5, "duplicates": 3, "covariates": 1}
+    assert (first.status_code, first.json()) == (201, answered), "of e0 no temperature was known"
     again = post_file(client, file)
     assert (again.status_code, again.json()) == (200, {"received": 8, "stored": 0, "duplicates": 8})
     assert client.post("/v1/spectra", json=batch(*rows)).json()["duplicates"] == 8
