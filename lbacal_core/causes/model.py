@@ -170,6 +170,11 @@ class Model:
             seen.add(what)
 
     @property
+    def covariates(self) -> set[str]:
+        """The covariates that its causes follow."""
+        return {name for one in self.causes for name in one.in_catalogue.covariates(Template(one.parameters))}
+
+    @property
     def is_plain(self) -> bool:
         """Whether it is the chain alone."""
         return not self.causes

@@ -129,6 +129,11 @@ class FittedCauses:
         """The sizes of all stations; only causes that act in these spectra."""
         return [size for one in self.stations for size in one.sizes]
 
+    @property
+    def events_left_out(self) -> int:
+        """How many events of stations lack a covariate of a cause: some of their spectra are left out."""
+        return sum(np.unique(one.event[~one.is_known]).size for one in self.stations)
+
     @cached_property
     def spectra(self) -> Recorded:
         """The spectra with what the causes do divided out; without those of which a covariate is not known."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from lbacal_core.calibration.prediction import Acting, EventNoise, Prediction, curve_alone, predict_path
 from lbacal_core.calibration.singles import has_enough
-from lbacal_core.causes.cause import REFERENCE_C, TEMPERATURE, Template
+from lbacal_core.causes.cause import REFERENCE_C, TEMPERATURE
 from lbacal_core.causes.model import AdoptedCause
 from lbacal_core.causes.sky import sky_ratios
 from lbacal_core.curves.covariance import Budget
@@ -159,8 +159,7 @@ def _lay_out(
 def _spectra_at(curve: CalibrationCurve, simulation: Simulation, times: Floats, temperature_c: float | None) -> Spectra:
     """Spectra of a path at some instants, of any power, with the columns that its causes name."""
     count = times.size
-    causes = simulation.causes.of_stations([str(curve.station)]).causes
-    columns = {name for one in causes for name in one.in_catalogue.covariates(Template(one.parameters))}
+    columns = simulation.causes.of_stations([str(curve.station)]).covariates
     environment = {name: np.full(count, np.nan) for name in columns}
     if TEMPERATURE in columns and temperature_c is not None:
         environment[TEMPERATURE] = np.full(count, temperature_c)

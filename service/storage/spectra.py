@@ -529,6 +529,20 @@ class SpectraStore(Store):
         flag, counts = self.last_flag(since, until), self._count_usable(Window(since, until, Scope(station)))
         return {station: (count, flag) for station, count in sorted(counts.items()) if count}
 
+    def count_covariates(self, since: Instant, until: Instant, station: str | None = None) -> Counter[str]:
+        """How many covariates are known of the usable events of a window, by station.
+
+        They are only ever added, as spectra are: beside `content` the number is the same only if all of them are.
+        """
+        known = func.length(event.c.env) - func.length(func.replace(event.c.env, ":", ""))  # a colon in JSON has each
+        counted = select(event_station.c.station, func.sum(known).label("known"))
+        counted = counted.join(event, event.c.id == event_station.c.event).where(
+            *_of_events(_near(Window(since, until)), event.c.flag.is_(None), event.c.env.is_not(None)),
+            *equal(event_station, station=station),
+        )
+        rows = self._connection.execute(counted.group_by(event_station.c.station))
+        return Counter({row.station: int(row.known) for row in rows})
+
     def last_flag(self, since: Instant, until: Instant) -> int:
         """The number of the last flag set or cleared in a window; 0 where none ever was."""
         flags = select(func.coalesce(func.max(event_flag.c.id), 0)).join(event, event.c.id == event_flag.c.event)

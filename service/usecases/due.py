@@ -2,10 +2,11 @@
 
 The rule. For every calendar year (UTC) that holds usable spectra there is one refit for the array, and for every
 station with spectra in it one of scope station and one of scope antenna, and after all refits an investigation. It is
-due when its window got new spectra or a flag was set or cleared in it, when the watch found that an antenna changed in
-it, or a person lifted that cut, or when what was made is too old: made with another instrument, sky power or model
-version, by another policy of the search, before the adoption or withdrawal of a cause that acts in the window, or
-while the windows beside it, which are fitted with it, were in another state.
+due when its window got new spectra or a flag was set or cleared in it, when covariates of its events became known (for
+refits only where an adopted cause reads any), when the watch found that an antenna changed in it, or a person lifted
+that cut, or when what was made is too old: made with another instrument, sky power or model version, by another policy
+of the search, before the adoption or withdrawal of a cause that acts in the window, or while the windows beside it,
+which are fitted with it, were in another state.
 Work is named by exactly these, and done under the name of what it read. It is due until a part of that name is *done*:
 two schedulers, a restart or a missed day change nothing, and work that failed or was cancelled is tried again, after
 ten minutes and then after ever longer pauses, because what is due follows from what is stored and not from when anybody
@@ -23,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from lbacal.instants import DAY_US, SECOND_US, format_instant
+from lbacal_core.causes.model import Model
 from lbacal_core.curves.validity import Instant, Promotion, Scope
 from lbacal_core.errors import name_path
 from lbacal_core.provenance import canonical_json, hash_content
@@ -192,6 +194,7 @@ class DueWork:
             "beside": beside,
             "changes": wanted.named,
             "decisions": {"cuts": acts} if acts else None,
+            "covariates": _count_covariates(stores, wanted.model, of.station, since, until),
         }
         return self._order(REFIT, part, called_for)
 
@@ -200,19 +203,23 @@ class DueWork:
         held = {years: stores.spectra.contents(*years, of) for years in find_years(stores)}
         for station in stores.spectra.stations() if of is None else [of]:
             references = find_references(stores, self.simulation.instrument, station)
+            adopted = stores.models.of_station(station)
             for since, until in held if references else ():
                 if (content := held[since, until].get(station)) is None:
                     continue
                 part = {"station": station, "since": since, "until": until}
                 model = _name_change(stores, station, since, until)
                 named = {"form": FORM, "spectra": content, "references": sorted(references.values()), "model": model}
+                acting = adopted.during(since / SECOND_US, until / SECOND_US)
+                named["covariates"] = _count_covariates(stores, acting, station, since, until)
                 yield self._order(DRIFT, part, named)
 
     def _investigations(self, stores: Stores) -> Iterator[Order]:
         if self.investigations is not None:
-            for part, (content, search) in self.investigations.due(stores):
+            for part, (content, search, known) in self.investigations.due(stores):
                 model = _name_change(stores, *(part[name] for name in ("station", "since", "until")))
-                yield self._order(INVESTIGATION, part, {"spectra": content, "search": search, "model": model})
+                named = {"spectra": content, "search": search, "model": model, "covariates": known}
+                yield self._order(INVESTIGATION, part, named)
 
     def _order(self, kind: str, part: dict[str, Any], called_for: dict[str, Any]) -> Order:
         own = self._inputs
@@ -256,6 +263,11 @@ def _is_changed(order: Order) -> bool:
     return bool(called_for["changes"] or called_for["decisions"])
 
 
+def _count_covariates(stores: Stores, model: Model, station: str | None, since: Instant, until: Instant) -> int | None:
+    """How many covariates are known of the events of a window; None where its model reads none."""
+    return stores.spectra.count_covariates(since, until, station).total() if model.covariates else None
+
+
 def _name_change(stores: Stores, station: str | None, since: Instant, until: Instant) -> int | None:
     """The number of the newest change of a model that touches a window: with each the window is due again."""
     change = stores.models.last_change(station, since, until)
@@ -267,6 +279,7 @@ def _name_change(stores: Stores, station: str | None, since: Instant, until: Ins
 CALLED_FOR = {
     **OF_SIMULATION, "decisions": "a decision about a change", "beside": "spectra of other years",
     "model": "a cause adopted or withdrawn", "form": "other numbers are kept",
+    "covariates": "covariates of events became known",
     "references": "another reference", "search": "another policy of the search", "drift": "drift measured anew",
 }  # fmt: skip
 CHANGES_NAMED = 3

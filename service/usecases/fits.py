@@ -29,7 +29,7 @@ from lbacal_core.curves.kept_lines import KeptLines, Owner
 from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.discovery.calibrate import FittedCauses, fit_causes
-from lbacal_core.errors import name_path
+from lbacal_core.errors import name_path, write_count
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import MODEL_VERSION, Remembered, hash_content
@@ -334,7 +334,12 @@ class Fits:
             report = add_budget(of_piece.fit(wanted.scope, beside=[of for _, of in beside]), budget)
             report = replace(report, lines=[_name_lines(one, named) for one in report.lines])
             neighbours = neighbours.and_also(KeptPiece(during.since, during.until, report.lines))
-            yield _versions(recorded, report, during, made, named, beside, instrument), report, during
+            left_out = of_piece.events_left_out
+            told = (
+                f"; {write_count(left_out, 'event')} left out: a covariate of a cause is not known" if left_out else ""
+            )
+            said = replace(during, reason=wanted.reason + told)
+            yield _versions(recorded, report, said, made, named, beside, instrument), report, during
 
     def _require_power(self, recorded: Recorded, wanted: Wanted) -> None:
         """Refuse spectra whose unit is not that of power, looking at one station after the other."""

@@ -71,8 +71,9 @@ class Investigations:
         """
         search = [self.simulation.is_own_sky, Policy().as_dict(), *self.simulation.own_causes.values()]
         for since, until in find_years(stores):
+            known = stores.spectra.count_covariates(since, until)
             for station, content in stores.spectra.stations_with(since, until, MIN_EVENTS).items():
-                yield describe_part(station, since, until), [content, search]
+                yield describe_part(station, since, until), [content, search, known[station]]
 
     def run(self, part: Part, worker: str) -> None:
         """Do a part: read, search, and write report and the end of the part in one transaction."""

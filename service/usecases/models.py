@@ -92,8 +92,9 @@ class Models:
             before = stores.models.current().of_stations([made.station])
             window = year_of(made.since)
             content = stores.spectra.content(Window(*window, Scope(made.station)))
+            known = stores.spectra.count_covariates(*window, made.station).total()
             cuts = [[cut.antenna, cut.date] for cut in stores.changes.cuts(made.station, *window)]
-            state = [made.id, body.finding, before.id, content, stores.ledger.newest_number(), cuts]
+            state = [made.id, body.finding, before.id, content, known, stores.ledger.newest_number(), cuts]
         plan = self.planned.get(hash_content(state), lambda: self._plan(made, before, window, body, by))
         return replace(plan, change=replace(plan.change, by=by, reason=body.reason))
 

@@ -1,4 +1,18 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lbacal_core.calibration.singles import MIN_EVENTS
+from lbacal_core.causes.model import AdoptedCause, Model
+from lbacal_core.curves.validity import Scope
+from service.factory import Factory
+from service.storage.models import ADOPTED, ModelChange
 from service.usecases.due import explain_due
+from service.usecases.models import Adoption
+from tests.service.conftest import add_spectra, flat_spectra, like
 
 SAME = {"instrument": "a", "sky_power": "b", "model_version": 9}
 WINDOW = SAME | {"spectra": [100, 0], "model": None, "changes": [], "decisions": None}
@@ -16,6 +30,7 @@ def test_a_reason_names_the_inputs_that_are_others_than_before():
             "-1 usable spectra; a quality flag set or cleared; a decision about a change",
         ),
         ({"instrument": "c", "model_version": 10}, "another instrument; another model version"),
+        ({"covariates": 7}, "covariates of events became known"),
         ({}, "tried again"),
     ):
         assert explain_due(WINDOW, WINDOW | now) == reason
@@ -35,3 +50,40 @@ def test_a_window_of_the_array_names_the_spectra_of_all_stations():
 def test_drift_is_followed_again_because_it_was_measured_anew():
     assert explain_due({"drift": "a", "report": None}, {"drift": "b", "report": ["a", 5]}) == "drift measured anew"
     assert explain_due(None, {"drift": "b", "report": None}) == "drift measured anew"
+
+
+def test_temperatures_that_came_late_made_no_fit_due(factory: Factory, monkeypatch: pytest.MonkeyPatch) -> None:
+    """C stayed the fit of the events whose temperature had been known before: work was named by spectra and flags."""
+    monkeypatch.setattr("service.usecases.due.find_references", lambda *_: {Scope("CS001", 0, "X"): "a"})
+    rows = [(f"{station} {k}", 1.4e9 + k, station, 0, "X") for station in ("CS001", "CS002") for k in range(MIN_EVENTS)]
+    spectra = flat_spectra(*rows)
+    add_spectra(factory, spectra)
+    with like(factory, nightly_investigations=True) as nightly:
+
+        def names() -> dict[tuple[str, ...], str | None]:
+            with nightly.database.read() as stores:
+                due = nightly.due
+                orders = [*due._refits(stores), *due._drift(stores), *due._investigations(stores)]
+            return {
+                (one.kind, str(one.request["station"]), one.request.get("scope", "")): one.due_name for one in orders
+            }
+
+        def send(first: int, last: int) -> set[tuple[str, ...]]:
+            """Send the temperatures of some events of CS001, and return what becomes due."""
+            before = names()
+            warmth = np.where((np.arange(len(spectra)) >= first) & (np.arange(len(spectra)) < last), 10.0, np.nan)
+            add_spectra(factory, replace(spectra, environment={"temperature_c": warmth}))
+            now = names()
+            return {one for one in now if now[one] != before[one]}
+
+        investigation = ("investigation", "CS001", "")
+        assert send(0, 5) == {investigation}, "no fit reads them"
+        plain, cause = Model(), AdoptedCause("gain_temperature", "CS001", "station", 0.05, 0.01, {"delay_h": 0.0})
+        model = Model((cause,))
+        change = ModelChange(
+            0, "CS001", ADOPTED, model.id, plain.id, model.id, None, None, None, None, None, {}, None, 0, "test", "x"
+        )  # fmt: skip
+        assert nightly.models.adopt(Adoption(change, model, plain, cause, ()), promote=True)
+        fits = {("refit", "None", "array"), ("refit", "CS001", "station"), ("refit", "CS001", "antenna")}
+        assert send(5, 9) == {investigation, *fits, ("drift", "CS001", "")}
+        assert send(0, 9) == set(), "they are known"

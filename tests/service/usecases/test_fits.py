@@ -72,6 +72,20 @@ def test_a_dipole_with_too_few_events_for_a_budget_borrows_nothing_and_the_other
     assert found == {("X", "too_few_events"), ("Y", "converged")}
 
 
+def test_a_version_says_how_many_events_its_causes_leave_out(spectra: Spectra, fits: Fits) -> None:
+    """It had the same events as before, and nobody said that a temperature was missing of others."""
+    since, until = parse_instant("", "2014-01-01"), parse_instant("", "2015-01-01")
+    warm = AdoptedCause("gain_temperature", "CS002", "station", 0.02, 0.01, {"delay_h": 0.0})
+    wanted = Wanted("station", Scope("CS002"), since, until, Model((warm,)), "", "test")
+    unknown = np.isin(spectra.event_id, np.unique(spectra.event_id)[:7])
+    gappy = {"temperature_c": np.where(unknown, np.nan, spectra.environment["temperature_c"])}
+    for environment, reason in (
+        (gappy, "test; 7 events left out: a covariate of a cause is not known"), (spectra.environment, "test"),
+    ):  # fmt: skip
+        whole = fits.fit_causes(replace(spectra, environment=environment), wanted.model)
+        assert {version.reason for version in fits.make(whole, wanted).versions} == {reason}
+
+
 @pytest.mark.long
 def test_the_same_spectra_read_again_have_the_fit_of_their_causes_once(spectra: Spectra, fits: Fits) -> None:
     """Every scope of a station reads the same spectra: each fitted the causes to them anew."""
