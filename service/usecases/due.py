@@ -279,7 +279,7 @@ def _name_change(stores: Stores, station: str | None, since: Instant, until: Ins
 CALLED_FOR = {
     **OF_SIMULATION, "decisions": "a decision about a change", "beside": "spectra of other years",
     "model": "a cause adopted or withdrawn", "form": "other numbers are kept",
-    "covariates": "covariates of events became known",
+    "covariates": "other covariates are read",
     "references": "another reference", "search": "another policy of the search", "drift": "drift measured anew",
 }  # fmt: skip
 CHANGES_NAMED = 3

@@ -30,7 +30,7 @@ def test_a_reason_names_the_inputs_that_are_others_than_before():
             "-1 usable spectra; a quality flag set or cleared; a decision about a change",
         ),
         ({"instrument": "c", "model_version": 10}, "another instrument; another model version"),
-        ({"covariates": 7}, "covariates of events became known"),
+        ({"covariates": 7}, "other covariates are read"),
         ({}, "tried again"),
     ):
         assert explain_due(WINDOW, WINDOW | now) == reason
