@@ -70,7 +70,7 @@ OfStation = tuple[int, str]
 
 @dataclass(frozen=True)
 class Added:
-    """What was new of a batch.
+    """The new part of a batch.
 
     Attributes
     ----------
