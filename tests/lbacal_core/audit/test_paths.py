@@ -203,7 +203,7 @@ def test_a_path_that_does_not_work_is_named_and_no_other(station, kind):
 
 @pytest.mark.parametrize(("begin", "end"), [(8, HOURS), (0, 16), (6, 18), (0, HOURS), (9, 16), (18, HOURS)])
 def test_a_path_that_is_dead_in_a_part_of_the_time_is_told_with_its_dates(station, begin, end):
-    """An antenna that had worked in 103 of 300 events was dead without a date, one dead for a month was nothing wrong."""
+    """An antenna that had worked in 103 of 300 events was dead without a date, one dead for a month all right."""
     power = station.power.copy()
     power[ANTENNA, DIPOLE, begin:end] *= 1e-3
     dead = replace(station, power=power)
