@@ -263,15 +263,15 @@ def _is_likelier(
 
 
 def _say_at_once(report: StationReport, seed: int) -> StationReport:
-    """The report of what leaves no structure, with a sentence for several findings of a target that say less likely.
+    """The report of what leaves no structure, with a sentence for several causes of a target that say less likely.
 
     A gain of an antenna that fades since autumn is two steps, two changes of the converter's noise and a filter that
-    moves, none of which leaves anything.
+    moves, none of which leaves anything. Two steps of one gain are a failure and its repair.
     """
-    found = [one.hypothesis.target.label for one in report.findings]
-    several = (one.hypothesis.target for one in report.findings if found.count(one.hypothesis.target.label) > 1)
-    for target in {one.label: one for one in several}.values():
+    for target in {one.hypothesis.target.label: one.hypothesis.target for one in report.findings}.values():
         rivals = [one for one in report.findings if one.hypothesis.target.label == target.label]
+        if len({one.hypothesis.cause.identifier for one in rivals}) < 2:
+            continue
         others = [one for one in report.findings if one.hypothesis.target.label != target.label]
         base = _with(report.first, [one.hypothesis for one in others])
         alpha = report.policy.structure_alpha / report.stations
