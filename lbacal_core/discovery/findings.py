@@ -140,9 +140,8 @@ class StationSearch:
         said, told = self._say(before, sentences, gains)
         beyond = 2.0 * self.policy.likelier
         best = named[0] if named else None
-        if said is None or (
-            best and (said.gain < self._with_second(best, said) + beyond or self._is_alike(before, said, best))
-        ):
+        of_best = self._with_second(best, said) if best and said else max(gains, default=-np.inf)
+        if said is None or (best and (said.gain < of_best + beyond or self._is_alike(before, said, best))):
             spoken = [(one.hypothesis, one.gain) for one in told]
             if said is not None:
                 # Scores are of the first order: what the likeliest lost as it was fitted, the others lose as well.
@@ -153,10 +152,10 @@ class StationSearch:
             ]
             # Where unseen events refuse the likeliest, what it is likelier than by far is no explanation either.
             most = max([one.gain for one in named] + [gain for _, gain in spoken], default=-np.inf)
-            compared = _compare(beside, spoken[:1])
+            compared = _compare(beside, spoken[:1], of_best)
             return compared[:1] + [one for one in compared[1:] if one.gain + beyond > most]
         self.again, self.impossible = None, None
-        return _compare([said, *named], [])[:1]
+        return _compare([said, *named], [], said.gain)[:1]
 
     def _score_sentences(self, before: FittedModel, significant: Sequence[Score]) -> list[ScoredSentence]:
         """The likeliest sentences, for the station or where the best cause acts, by its score."""
@@ -257,15 +256,23 @@ class StationSearch:
         return gain_of(before, candidate.model.hypotheses[-1], candidate.score)
 
 
-def _compare(found: Sequence[Candidate], sentences: Sequence[tuple[Hypothesis, float]]) -> list[Candidate]:
-    """Candidates with their rivals, the likeliest first; sentences come with what they gain beyond chance."""
+def _compare(
+    found: Sequence[Candidate], sentences: Sequence[tuple[Hypothesis, float]], of_first: float
+) -> list[Candidate]:
+    """Candidates with their rivals, the likeliest first; sentences come with what they gain beyond chance.
+
+    With `of_first` the first of the candidates is held against sentences, with a second of its kind where that counts.
+    """
     others = [(one.score.cause.identifier, one.score.target.label, one.gain) for one in found]
     said = [(SENTENCE.identifier, one.target.label, gain) for one, gain in sentences]
     return [
         replace(
             one,
             rivals=sorted(
-                (Rival(cause, target, one.gain - gain) for cause, target, gain in others[:k] + others[k + 1 :] + said),
+                [
+                    *(Rival(cause, target, one.gain - gain) for cause, target, gain in others[:k] + others[k + 1 :]),
+                    *(Rival(cause, target, (one.gain if k else of_first) - gain) for cause, target, gain in said),
+                ],
                 key=lambda rival: rival.delta_chi2,
             ),
         )

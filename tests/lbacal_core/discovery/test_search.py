@@ -195,6 +195,9 @@ def test_two_steps_of_an_antenna_are_no_spell(chain, sky, simulation):
     for one, size in zip(found, (0.08, -0.05 / 1.08), strict=True):
         assert one.size == pytest.approx(size, abs=3 * one.uncertainty)
     assert report.structure is None
+    rivals = [rival for one in report.findings for rival in one.rivals]
+    assert rivals
+    assert min(rival.delta_chi2 for rival in rivals) > -2.0 * report.policy.likelier, "a spell stood for one step alone"
 
 
 @pytest.mark.long
