@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lbacal_core.audit.audit import audit, audit_quickly
+from lbacal_core.audit.audit import audit
 from lbacal_core.audit.sky_match import is_summer_time
 from lbacal_core.audit.verdict import SUMMER_TIME, Line
 from lbacal_core.causes.catalogue import CAUSES
@@ -116,15 +116,10 @@ def put_right(spectra: Spectra, simulation: Simulation) -> PutRight | None:
     spectra
         Those of the station.
     simulation
-        Under a sky that is given, which has no other clock or arms to be computed for, paths are left out and no more.
+        Under its own sky: one that is given has no other clock or arms to be computed for.
     """
-    is_own = simulation.is_own_sky
-    instrument = simulation.instrument
-    report = (
-        audit(spectra, instrument, others=simulation.models) if is_own else audit_quickly(spectra, instrument).report
-    )
-    wrong = report.wrong
-    errors = [RecordError(one) for one in wrong if is_own and one.kind in _OF_KIND]
+    wrong = audit(spectra, simulation.instrument, others=simulation.models).wrong
+    errors = [RecordError(one) for one in wrong if one.kind in _OF_KIND]
     left_out = [one for one in wrong if one.dipole is not None and one.antennas]
     if not errors and not left_out:
         return None
@@ -137,7 +132,7 @@ def put_right(spectra: Spectra, simulation: Simulation) -> PutRight | None:
         for end in (line.since_unix, line.until_unix):
             if end is not None:  # whose clock is that of before or after, nobody knows
                 working = working.select(np.flatnonzero(np.abs(working.time_unix - end) > OF_NOBODY_S))
-    corrected = working
+    instrument, corrected = simulation.instrument, working
     for one in errors:
         corrected, instrument = _correct(corrected, instrument, one.line)
     right = simulation

@@ -798,7 +798,7 @@ PLACES: dict[str, Place] = {
     ),
     "time": Place(
         _move_in_time,
-        "the sky is that of a later sidereal time, or the antenna leans to the east (size in hours, 15 degrees each)",
+        "the sky is that of a later sidereal time, or the antenna leans to the east (size in hours)",
         "P_sky -> P_sky + dP_sky/dLST {0}",
         "compare the transit of a bright source in interferometric data with its right ascension",
         moves=True,

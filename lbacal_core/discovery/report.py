@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -524,8 +525,7 @@ class Search:
         # The products are small: threads of the linear algebra would wait for each other.
         with threadpool_limits(1):
             report = search(station, modes=None if known is None else model_modes(station, known))
-            may_be_of_record = simulation.is_own_sky and (not report.findings or _names_record(report))
-            if report.structure is not None or may_be_of_record:
+            if simulation.is_own_sky and (report.structure is not None or not report.findings or _names_record(report)):
                 progress(f"{station.name}: asking whether its record is wrong")
                 report = _search_put_right(own, report, simulation, search) or report
             if report.structure is not None:
@@ -566,10 +566,27 @@ def prepare_search(
         settings={
             "policy": Policy().as_dict(), "seed": seed, "own_sky": simulation.is_own_sky, **simulation.own_causes
         },
-        notes={FORM_OF_CHAIN: str(form), "sky_power": simulation.sky_power.note_for(simulation.instrument)},
+        notes={
+            FORM_OF_CHAIN: str(form), "sky_power": simulation.sky_power.note_for(simulation.instrument),
+            **_tell_dead(spectra, stations),
+        },
     )  # fmt: skip
     own = (spectra.select(np.flatnonzero(spectra.station == station.name)) for station in stations)
     return Search(simulation, len(stations), seed, provenance), zip(stations, own, strict=True)
+
+
+def _tell_dead(spectra: Spectra, stations: Sequence[Station]) -> dict[str, str]:
+    """A note on the spectra that are left out as dead; none where there are none."""
+    sent = Counter(zip(spectra.station.tolist(), spectra.antenna.tolist(), spectra.dipole.tolist(), strict=True))
+    paths = (
+        (f"{one.name} antenna {antenna} {dipole}", sent[one.name, antenna, dipole] - there)
+        for one in stations
+        for antenna, dipole, there in zip(
+            one.antenna.tolist(), one.dipole.tolist(), one.is_present.sum(axis=1).tolist(), strict=True
+        )
+    )
+    told = [f"{count} of {path}" for path, count in paths if count]
+    return {"dead spectra": f"left out with less than a tenth of the usual power: {', '.join(told)}"} if told else {}
 
 
 def investigate(

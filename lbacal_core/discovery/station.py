@@ -25,6 +25,7 @@ from lbacal_core.sky.differences import ModelDifferences, Waves, waves_at
 from lbacal_core.sky.sources import response_towards
 from lbacal_core.sky.table import SkyPower, read_at
 from lbacal_core.spectra.blocks import SpectraBlock, split_into_blocks
+from lbacal_core.spectra.screening import find_dead, leave_out
 from lbacal_core.spectra.spectra import Spectra
 
 STRUCTURE_SHARE, SMALLEST_PROFILE = 1 / 3, 1e-6
@@ -124,7 +125,7 @@ class Station:
 def gather_stations(
     spectra: Spectra, simulation: Simulation, ratios: Mapping[str, SkyRatio] | None = None
 ) -> list[Station]:
-    """Lay out the spectra of each station.
+    """Lay out the spectra of each station, without those that are dead: what they lack follows no course.
 
     Parameters
     ----------
@@ -137,7 +138,7 @@ def gather_stations(
         Where a station has too few events, or where an antenna changes its cable within the data.
     """
     cable_of = require_one_cable_each(spectra, simulation.instrument)
-    blocks = split_into_blocks(spectra)
+    blocks = [leave_out(one, find_dead(one)) for one in split_into_blocks(spectra)]
     of_array = sky_ratios(simulation.instrument) if ratios is None else ratios
     typical = float(np.median(spectra.blocks))
 

@@ -98,7 +98,7 @@ def screen_block(block: SpectraBlock, longitude_deg: float) -> Screened:
 
     A path is judged by its own spectra alone, so that its fit depends on nothing else.
     """
-    dead = _find_dead(block)
+    dead = find_dead(block)
     living = replace(block, is_present=block.is_present & ~dead)
     is_judged = living.is_present.sum(axis=1) >= FEWEST_EVENTS
     found: list[Anomaly] = []
@@ -124,7 +124,7 @@ def screen_block(block: SpectraBlock, longitude_deg: float) -> Screened:
     return Screened(leave_out(block, is_left_out), tuple(found), is_steady)
 
 
-def _find_dead(block: SpectraBlock) -> NDArray[np.bool_]:
+def find_dead(block: SpectraBlock) -> NDArray[np.bool_]:
     """Find the spectra without sky, shape (path, event): half of a path's spectra at the most.
 
     They are set apart first, because the robust fit of the daily variation does not stand many that are so far off.
