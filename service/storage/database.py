@@ -39,6 +39,7 @@ BUSY = "the database is busy"
 FULL = "the disk of the database is full"
 REVISION = text("SELECT version_num FROM alembic_version")
 READ_ONLY = "the database takes no writes now"
+NO_FILE = "there is no database there: correct LBACAL_DATABASE_URL, or run `lbacal db upgrade` to make one"
 OTHER_SCHEMA = "the database schema is not the one this version needs: run `lbacal db upgrade`"
 
 _OF_STATE = {"53100": FULL, "25006": READ_ONLY, "55P03": BUSY, "42P01": OTHER_SCHEMA, "42703": OTHER_SCHEMA}
@@ -208,9 +209,15 @@ class Database:
             yield connection
 
     def ping(self) -> None:
-        """Ask whether the database answers."""
-        with self.connect() as connection:
-            connection.execute(text("SELECT 1"))
+        """Ask whether the server of the database answers; a file has none."""
+        if self._file is None:
+            with self.connect() as connection:
+                connection.execute(text("SELECT 1"))
+
+    def make_file(self) -> None:
+        """Make the file of an SQLite database where there is none: an upgrade may, and nothing else."""
+        if self._file:
+            self._file.make()
 
     @contextmanager
     def connect(self) -> Iterator[Connection]:
@@ -248,14 +255,24 @@ class _SqliteFile:
     def __init__(self, name: str | None) -> None:
         self._path = Path(name or "")
         self._number: int | None = None
-        if name:
+
+    def make(self) -> None:
+        """Make an empty file where there is none."""
+        if not self._path.exists():
             self._path.parent.mkdir(parents=True, exist_ok=True)
+            self._path.touch()
 
     def require_same(self) -> None:
-        """Refuse to go on when the file that was opened first is no longer there."""
+        """Refuse to begin without a file, and to go on when the file that was opened first is no longer there."""
         try:
             number = self._path.stat().st_ino
+        except FileNotFoundError as error:
+            if self._number is None:
+                raise UnavailableError(NO_FILE, str(self._path.absolute())) from error
+            number = None
         except OSError:
+            if self._number is None:
+                raise
             number = None
         if self._number is None:
             self._number = number

@@ -17,7 +17,7 @@ from lbacal.files import written_beside
 from lbacal_core.errors import BadInputError
 from service.errors import ConflictError, UnavailableError
 from service.schema.tables import known_revisions, metadata, require_known, require_newest
-from service.storage.database import REVISION, Database, explaining_failures
+from service.storage.database import NO_FILE, REVISION, Database, explaining_failures
 
 if TYPE_CHECKING:
     from alembic.config import Config
@@ -34,7 +34,8 @@ def make_config(database: Database) -> Config:
 
 
 def upgrade(database: Database) -> None:
-    """Bring the schema to what this code needs."""
+    """Bring the schema to what this code needs, in a new file where an SQLite database has none."""
+    database.make_file()
     found = find_revision(database)
     if found == known_revisions()[-1]:
         return
@@ -84,13 +85,18 @@ def find_revision(database: Database) -> str | None:
 
 
 def copy_sqlite(url: str, output: Path) -> int:
-    """Copy the database into a file, whole or not at all, and check the copy; returns its size in bytes."""
+    """Copy the database into a new file, whole or not at all, and check the copy; returns its size in bytes.
+
+    The schema may be an old one: an upgrade begins with a backup. The file may not exist: it may be the last backup.
+    """
     address = make_url(url)
     if address.get_backend_name() != "sqlite":
         raise BadInputError("LBACAL_DATABASE_URL", "an SQLite file (use pg_dump)", "PostgreSQL")
     source = Path(address.database or "")
     if not source.is_file():
-        raise UnavailableError("there is no database yet: run `lbacal db upgrade`", str(source))
+        raise UnavailableError(NO_FILE, str(source.absolute()))
+    if output.exists():
+        raise BadInputError(str(output), "the name of a new file: a backup replaces none", "a file that exists")
     try:
         with written_beside(output) as beside:
             with closing(sqlite3.connect(source)) as there, closing(sqlite3.connect(beside)) as here:
@@ -98,8 +104,11 @@ def copy_sqlite(url: str, output: Path) -> int:
                 # a copy in write-ahead mode would be read together with files beside it
                 here.execute("PRAGMA journal_mode=DELETE")
                 (found,) = here.execute("PRAGMA integrity_check").fetchone()
+                tables = [name for (name,) in here.execute("SELECT name FROM sqlite_master")] if found == "ok" else []
             if found != "ok":
                 raise UnavailableError(f"the database is damaged: {found}")
+            if "alembic_version" not in tables:
+                raise UnavailableError("the database is empty: correct LBACAL_DATABASE_URL", str(source.absolute()))
             return beside.stat().st_size
     except sqlite3.Error as error:
         raise UnavailableError(f"the database could not be copied: {error}") from error

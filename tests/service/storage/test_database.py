@@ -397,6 +397,7 @@ def test_a_schema_that_this_version_does_not_know_is_refused(factory: Factory, r
 def test_files_of_migrations_begin_with_their_revisions_and_make_one_row(tmp_path: Path) -> None:
     """Every process reads the newest from their names, without loading Alembic."""
     database = Database(f"sqlite:///{tmp_path / 'empty.sqlite'}")
+    database.make_file()
     scripts = ScriptDirectory.from_config(make_config(database)).walk_revisions()
     assert list(known_revisions()) == [one.revision for one in scripts][::-1]
     assert find_revision(database) is None
@@ -576,4 +577,32 @@ def test_a_copy_of_nothing_or_of_another_database_is_refused(tmp_path: Path) -> 
     (tmp_path / "half.sqlite").write_bytes(b"no database " * 1000)
     with pytest.raises(UnavailableError, match="could not be copied"):
         copy_sqlite(f"sqlite:///{tmp_path}/half.sqlite", tmp_path / "x")
+    (tmp_path / "empty.sqlite").touch()
+    with pytest.raises(UnavailableError, match="the database is empty: correct LBACAL_DATABASE_URL"):
+        copy_sqlite(f"sqlite:///{tmp_path}/empty.sqlite", tmp_path / "x")
     assert not (tmp_path / "x").exists()
+
+
+def test_a_backup_replaces_no_file(sqlite_template: Path, tmp_path: Path) -> None:
+    copy_sqlite(f"sqlite:///{sqlite_template}", tmp_path / "x")
+    before = (tmp_path / "x").read_bytes()
+    with pytest.raises(BadInputError, match="the name of a new file: a backup replaces none, found a file that exists"):
+        copy_sqlite(f"sqlite:///{sqlite_template}", tmp_path / "x")
+    assert (tmp_path / "x").read_bytes() == before
+
+
+def test_only_an_upgrade_makes_a_file(tmp_path: Path) -> None:
+    database = Database(f"sqlite:///{tmp_path / 'typo' / 'x.sqlite'}")
+    questions: tuple[Callable[[], Any], ...] = (
+        lambda: database.write().__enter__(),
+        lambda: database.look(lambda stores: stores.keys.all()),
+        lambda: require_current(database),
+    )
+    for ask in questions:
+        with pytest.raises(UnavailableError, match="no database there: correct LBACAL_DATABASE_URL, or run") as told:
+            ask()
+        assert told.value.detail == str(tmp_path / "typo" / "x.sqlite")
+    assert list(tmp_path.iterdir()) == []
+    upgrade(database)
+    require_current(database)
+    database.close()
