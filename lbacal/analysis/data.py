@@ -23,7 +23,7 @@ from lbacal.pages.chart import BAND, COLOURS, LINE, Chart, Series
 from lbacal.pages.curves import FREQUENCY
 from lbacal.selection import SUFFIXES, Selection, find_spectra_files, parse_selection, read_selected
 from lbacal.units import convert_band, convert_number, make_rng
-from lbacal_core.errors import BadInputError, needing, require_kind
+from lbacal_core.errors import BadInputError, needing, require_kind, write_count
 from lbacal_core.grids import WITHIN_1_SIGMA, Floats, name_channels
 from lbacal_core.readers.open import choose_channels, open_source
 from lbacal_core.readers.source import Averaged
@@ -244,6 +244,12 @@ def _describe_arms(arms_deg: Mapping[str, float]) -> str:
 
 
 def _describe(result: Averaged, interval_s: float | None) -> Iterator[str]:
+    if result.negatives:
+        yield f"{result.negatives} values of the power are below 0 (decibels? it must be on a linear scale), left out"
+    if result.paths_left_out:
+        first, *others = result.paths_left_out
+        more = f" and {write_count(len(others), 'path')} more" if others else ""
+        yield f"no spectrum of {first}{more}: in none has every channel a power > 0 that is not flagged"
     if result.channels_left_out.size:
         low, high = result.channels_left_out[[0, -1]]
         yield f"{result.channels_left_out.size} channels between {low:g} and {high:g} MHz are flagged, left out"

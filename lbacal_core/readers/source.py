@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.errors import BadInputError
+from lbacal_core.errors import BadInputError, name_path
 from lbacal_core.grids import Floats, require_channels
 from lbacal_core.instrument.antennas import EXPECTED, are_dipole_names
 from lbacal_core.spectra.spectra import BLOCK_S, Spectra, name_event, require_possible
@@ -128,6 +128,10 @@ class Averaged:
         How many spectra lacked a few channels, which the path's other spectra filled.
     events
         How many events have a name of their own; the others are intervals.
+    negatives
+        How many values of the power are below 0: they count nowhere.
+    paths_left_out
+        Names of the paths that have no spectrum.
     """
 
     spectra: Spectra
@@ -137,6 +141,8 @@ class Averaged:
     flags: Mapping[str, int]
     spectra_filled: int = 0
     events: int = 0
+    negatives: int = 0
+    paths_left_out: tuple[str, ...] = ()
 
 
 def average(
@@ -213,6 +219,7 @@ class _Sums:
         self.members, self.edges = _find_members(source, channels)
         self.begin: float | None = None
         self.integrations = 0
+        self.negatives = 0
         self.sums: dict[tuple[str, int, str], _Sum] = {}
         """By name of the event, or by the number of its interval where it has none, and by flag."""
 
@@ -230,6 +237,7 @@ class _Sums:
         else:
             interval = np.floor(since / self.interval_s).astype(np.int64)
         power = block.power[:, :, self.members].astype(float)
+        self.negatives += int(np.sum(power < 0))
         is_good = np.isfinite(power) & (power > 0)
         width = self.source.width_mhz[self.members]
         power *= width
@@ -274,7 +282,8 @@ class _Sums:
         is_whole = (share > 0) & (share >= WHOLE_SHARE * best)
         is_recorded = is_whole.any(axis=-1)
         if not is_recorded.any():
-            raise BadInputError(self.source.name, "something that is not flagged", "everything flagged")
+            found = f"{self.negatives} values below 0 (decibels?)" if self.negatives else "everything flagged"
+            raise BadInputError(self.source.name, "power on a linear scale, > 0 where it is not flagged", found)
         is_kept = is_whole[is_recorded].mean(axis=0) >= COMMON_SHARE
         power, is_whole = power[..., is_kept], is_whole[..., is_kept]
         is_filled = _fill(power, is_whole, np.log(self.channels.frequency_mhz[is_kept]))
@@ -313,7 +322,10 @@ class _Sums:
         counts = {str(flag): int(np.sum(flags == flag)) for flag in np.unique(flags[flags != ""])}
         events = len({name for name, *_ in keys if name})
         lost = int(is_recorded.sum() - is_usable.sum())
-        return Averaged(spectra, left_out, lost, self.integrations, counts, int(is_filled.sum()), events)
+        own = zip(self.source.station.tolist(), self.source.antenna.tolist(), self.source.dipole.tolist(), strict=True)
+        without = tuple(name_path(*one) for one, has in zip(own, is_usable.any(axis=0), strict=True) if not has)
+        filled = int(is_filled.sum())
+        return Averaged(spectra, left_out, lost, self.integrations, counts, filled, events, self.negatives, without)
 
 
 def _fill(power: Floats, is_whole: NDArray[np.bool_], place: Floats) -> NDArray[np.bool_]:
