@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from lbacal_core.errors import BadInputError
 
 
-def convert_number(value: Any, unit: u.UnitBase) -> float:
+def convert_number(value: Any, unit: u.UnitBase, place: str = "a quantity") -> float:
     """A number in a unit, which it is taken in where it has none; an angle as text too, such as ``-35d12m``."""
     try:
         given = Angle(value, u.deg) if isinstance(value, str) and unit == u.deg else value
         given = given if isinstance(given, u.Quantity) else u.Quantity(given, unit)
         return float(given.to_value(unit, u.temperature()))
     except (u.UnitsError, TypeError, ValueError) as error:
-        raise _refuse_unit(value, unit) from error
+        raise _refuse_unit(value, unit, place) from error
 
 
 def convert_numbers(value: Any, unit: u.UnitBase, kind: type = float) -> NDArray[Any]:
@@ -44,6 +44,6 @@ def make_rng(seed: Any) -> np.random.Generator:
     return np.random.default_rng(int(seed))
 
 
-def _refuse_unit(value: Any, unit: u.UnitBase) -> BadInputError:
+def _refuse_unit(value: Any, unit: u.UnitBase, place: str = "a quantity") -> BadInputError:
     """The error of a value that is no number in a unit."""
-    return BadInputError("a quantity", f"one in {unit}, or a number, which is taken in it", repr(value))
+    return BadInputError(place, f"one in {unit}, or a number, which is taken in it", repr(value))

@@ -5,7 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from astropy import units as u
 
+from lbacal.units import convert_number
 from lbacal_core.curves.covariance import Budget, parse_budget, parse_covariance
 from lbacal_core.curves.curves import CONVERGED, CalibrationCurve
 from lbacal_core.curves.galcal import name_path
@@ -18,22 +20,26 @@ if TYPE_CHECKING:
     from lbacal_core.traces.voltage import CalibratedTrace
 
 
-def calibrate_trace(samples: Floats, sample_rate_mhz: float, effective: QTable) -> CalibratedTrace:
+def calibrate_trace(samples: Any, sample_rate_mhz: Any, effective: QTable) -> CalibratedTrace:
     """Apply the calibration in effect to a trace: volts at the antenna, with errors, and flags outside the band.
 
     Parameters
     ----------
     samples
-        Shape (sample,), ADC units, cleaned of interference.
+        Shape (sample,), ADC units (numbers, or a Quantity in adu or without a unit), cleaned of interference.
     sample_rate_mhz
-        200 for LOFAR.
+        200 for LOFAR; MHz or a Quantity.
     effective
         The answer of `lbacal.effective` for the one path that recorded the trace.
     """
     from lbacal_core.traces.voltage import calibrate_trace as calibrate
 
     curve = curve_of(effective)
-    return calibrate(samples, sample_rate_mhz, curve, budget_of(effective, curve))
+    unit = getattr(samples, "unit", None)
+    if unit not in (None, u.adu, u.dimensionless_unscaled):
+        raise BadInputError("samples", "ADC units: adu, or numbers without a unit", f"a Quantity in {unit}")
+    values, rate_mhz = getattr(samples, "value", samples), convert_number(sample_rate_mhz, u.MHz, "sample_rate_mhz")
+    return calibrate(values, rate_mhz, curve, budget_of(effective, curve))
 
 
 def budget_of(effective: QTable, curve: CalibrationCurve) -> Budget | None:

@@ -90,9 +90,13 @@ def calibrate_trace(
     budget
         The systematic terms that the curve's covariance names.
     """
-    values = np.asarray(samples, dtype=float)
-    if values.ndim != 1 or values.size < 2 or not np.all(np.isfinite(values)):
-        raise BadInputError("samples", "two or more finite numbers in one row", f"shape {values.shape}")
+    values = np.asarray(samples)
+    if values.dtype.kind not in "biuf":
+        raise BadInputError("samples", "real numbers", values.dtype.name)
+    if values.ndim != 1 or values.size < 2:
+        raise BadInputError("samples", "two or more numbers in one row", f"shape {values.shape}")
+    if not np.all(np.isfinite(values)):
+        raise BadInputError("samples", "finite numbers", f"{np.sum(~np.isfinite(values))} NaN or infinite")
     if not sample_rate_mhz > 0:
         raise BadInputError("sample_rate_mhz", "MHz > 0", f"{sample_rate_mhz}")
     if curve.c is None:
@@ -102,9 +106,9 @@ def calibrate_trace(
     is_inside = np.interp(frequency_mhz, channels, curve.has_value.astype(float), 0.0, 0.0) == 1.0
     if not np.any(is_inside):
         band = f"{channels[0]:g} to {channels[-1]:g} MHz"
-        raise BadInputError(
-            "samples", f"FFT bins in the band of {curve.name}, {band}", f"{frequency_mhz[-1]:g} MHz at most"
-        )
+        bins = f"one every {frequency_mhz[1]:g} MHz up to {frequency_mhz[-1]:g} MHz"
+        expected = f"FFT bins in the band of {curve.name}, {band}"
+        raise BadInputError("samples", expected, f"{bins}: is the sampling rate in MHz, not in Hz or GHz?")
     c = np.where(is_inside, np.interp(frequency_mhz, channels, curve.filled(curve.c)), 0.0)
     errors = [curve.filled(error) for error in relative_errors(curve, budget)]
     spectrum = np.fft.rfft(values) * c

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from astropy import units as u
 from astropy.time import Time
 
 import lbacal
@@ -33,6 +34,37 @@ def test_a_trace_is_calibrated_with_what_effective_answers() -> None:
     assert found.samples == pytest.approx(2e-5 * np.cos(2 * np.pi * 31.0 * time), abs=1e-12)
     inside = found.is_inside
     assert found.c_sigma[inside] == pytest.approx(0.01 * found.c[inside])
+
+
+def test_samples_are_adc_units_and_a_rate_may_have_any_unit_of_frequency() -> None:
+    samples, table = np.random.default_rng(1).normal(size=2000), make_table(answer())
+    plain = lbacal.calibrate_trace(samples, 200.0, table)
+    for given, rate in ((samples << u.adu, 0.2 * u.GHz), (samples << u.one, 200e6 * u.Hz)):
+        found = lbacal.calibrate_trace(given, rate, table)
+        assert type(found.samples) is np.ndarray
+        assert found.samples == pytest.approx(plain.samples, rel=1e-9)
+        assert found.sample_rate_mhz == pytest.approx(200.0)
+
+
+@pytest.mark.parametrize(
+    ("samples", "rate", "said"),
+    [
+        (
+            np.ones(2000) * u.V,
+            200.0,
+            "samples: expected ADC units: adu, or numbers without a unit, found a Quantity in V",
+        ),
+        (np.ones(2000) * 1j, 200.0, "samples: expected real numbers, found complex128"),
+        ("samples.npy", 200.0, "samples: expected real numbers, found str"),
+        ([1.0, math.nan, 1.0], 200.0, "samples: expected finite numbers, found 1 NaN or infinite"),
+        (np.ones(2000), 5.0 * u.ns, "sample_rate_mhz: expected one in MHz, or a number"),
+        (np.ones(2000), "fast", "sample_rate_mhz: expected one in MHz, or a number"),
+        (np.ones(2000), 200e6, "up to 1e.08 MHz: is the sampling rate in MHz, not in Hz or GHz?"),
+    ],
+)
+def test_a_trace_that_is_none_is_refused_with_what_is_wrong(samples: Any, rate: Any, said: str) -> None:
+    with pytest.raises(BadInputError, match=said):
+        lbacal.calibrate_trace(samples, rate, make_table(answer()))
 
 
 def test_the_covariance_of_one_path_is_found_among_the_rows_of_many() -> None:
