@@ -73,8 +73,8 @@ class UnknownNameError(LbacalError, status=404, code="unknown_name"):
     def __init__(self, kind: str, name: str, known: list[str]) -> None:
         near = near_name(name, known)
         meant = f"is {near} meant? " if near else ""
-        of_file = ", or the path of a file" if kind in KINDS_IN_FILES else ""
-        super().__init__(f"unknown {kind} {name!r}; {meant}known: {', '.join(known)}{of_file}")
+        no_file, of_file = (", and no such file", ", or the path of a file") if kind in KINDS_IN_FILES else ("", "")
+        super().__init__(f"unknown {kind} {name!r}{no_file}; {meant}known: {', '.join(known)}{of_file}")
 
 
 KINDS_IN_FILES = ("instrument", "sky model", "antenna model")

@@ -136,6 +136,8 @@ class Instrument:
     @classmethod
     def load(cls, name_or_file: str | Path) -> Instrument:
         """An instrument that ships with the package, or the one of a file."""
+        expected = "the name of an instrument that ships, such as lofar-superterp, or of a file"
+        require_kind("Instrument.load", name_or_file, str | Path, expected)
         made = cls.__new__(cls)
         made.core = load_instrument(str(name_or_file))
         return made

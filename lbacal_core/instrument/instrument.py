@@ -364,7 +364,7 @@ def find_instrument(name_or_file: str) -> Path:
     folder = Path(str(files("lbacal_core") / "data/instruments"))
     shipped = {path.stem: path for path in folder.iterdir()}
     path = shipped.get(name_or_file, Path(name_or_file))
-    if not _is_there(path):
+    if not name_or_file or not _is_there(path):
         raise UnknownNameError("instrument", name_or_file, sorted(shipped))
     return path
 

@@ -238,7 +238,9 @@ def test_a_value_on_a_channel_is_that_of_the_channel_and_between_two_lies_betwee
 def test_no_antenna_named_is_an_error_that_lists_what_there_is():
     core = load_instrument("lofar-superterp")
     elsewhere = lbacal.Instrument("mine", SITE, lbacal.Antenna("nothing", {"A": 0}), lbacal.Chain(), [50, 60] * u.MHz)
-    with pytest.raises(UnknownNameError, match=r"unknown antenna model 'nothing'; known: hamaker.*quarter-wave"):
+    with pytest.raises(
+        UnknownNameError, match=r"unknown antenna model 'nothing', and no such file; known: hamaker.*quarter-wave"
+    ):
         elsewhere.sky_power()
     assert lbacal.Instrument.load("lofar-superterp").core.as_dict() == core.as_dict()
 

@@ -221,6 +221,10 @@ PYTHON: dict[str, tuple[Callable[[], Any], str]] = {
         "instrument: expected a lbacal.Instrument, or the name or the file of one, found Spectra",
     ),
     "no instrument": (lambda: lbacal.simulate(None), "or the file of one, found None"),
+    "nothing to load": (lambda: lbacal.Instrument.load(None), "such as lofar-superterp, or of a file, found None"),
+    "a number to load": (lambda: lbacal.Instrument.load(5), "such as lofar-superterp, or of a file, found 5"),
+    "no name to load": (lambda: lbacal.Instrument.load(""), "unknown instrument '', and no such file; known: "),
+    "a file that is not there": (lambda: lbacal.Instrument.load("nothere.json"), "'nothere.json', and no such file"),
     "a number for a sky power": (
         lambda: lbacal.budget(make_spectra(make_instrument(), make_sky_power()), "lofar-superterp", 3),
         "sky_power: expected a P_sky, or the name of its file, found 3",

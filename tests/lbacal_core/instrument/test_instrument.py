@@ -153,9 +153,8 @@ def test_a_folder_is_named_as_such(tmp_path):
 
 
 def test_a_name_that_nothing_answers_to_is_answered_with_the_names_that_exist():
-    with pytest.raises(
-        UnknownNameError, match=r"unknown instrument 'lofar'; is lofar-superterp meant\? known: .*or the path of a file"
-    ):
+    told = r"unknown instrument 'lofar', and no such file; is lofar-superterp meant\? known: .*or the path of a file"
+    with pytest.raises(UnknownNameError, match=told):
         load_instrument("lofar")
 
 
