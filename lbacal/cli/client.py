@@ -75,6 +75,7 @@ def effective(
     if output is not None:
         with written_beside(output) as beside:
             beside.write_bytes(body)
+        print(f"wrote {output} as {kind.value}")
     elif kind is not Format.table:
         sys.stdout.buffer.write(body)
     else:
