@@ -90,6 +90,5 @@ def antenna_gain(
     with written_beside(output) as beside:
         beside.write_text(json.dumps(made, allow_nan=False) + "\n")
     best = checked.frequency_mhz[checked.antenna_gain.argmax()]
-    print(
-        f"G_ant at most {checked.antenna_gain.max():.4g} at {best:g} MHz; {checked.antenna_gain_note}; wrote {output}"
-    )
+    most = f"{checked.antenna_gain.max():.4g}{' m^2' if absolute else ''}"
+    print(f"G_ant at most {most} at {best:g} MHz; {checked.antenna_gain_note}; wrote {output}")

@@ -176,6 +176,7 @@ def test_the_command_writes_an_instrument_with_the_gain_of_a_table(folder: Path)
         wanted = [*files, "--source", "a test", "--absolute", "--output", str(folder / "made.json")]
         result = CliRunner().invoke(app, ["antenna-gain", *wanted])
         assert result.exit_code == 0, result.output
+        assert "G_ant at most 9 m^2 at " in result.output
         made = load_instrument(str(folder / "made.json"))
         np.testing.assert_allclose(made.antenna_gain, 9.0)
     assert made.antenna_gain_note == "absolute: a test; error of ln G_ant unknown"
