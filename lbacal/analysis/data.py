@@ -299,6 +299,8 @@ def simulate(
     >>> len(spectra)
     240
     """
+    require_kind("events", events, int | np.integer, "a whole number")
+    require_kind("antennas", antennas, int | np.integer | None, "a whole number, or None for all")
     with needing("lbacal.simulate", "twin"):
         from lbacal_twin.campaign import simulate_campaign
         from lbacal_twin.settings import TwinSettings

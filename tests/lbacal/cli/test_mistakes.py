@@ -204,6 +204,8 @@ PYTHON: dict[str, tuple[Callable[[], Any], str]] = {
     "an array for spectra": (lambda: lbacal.fit(np.ones((3, 51)), "lofar-superterp"), "lbacal.read, or the name of a"),
     "no file": (lambda: lbacal.read([]), "expected a file or a folder, or a list of them, found none"),
     "a seed below 0": (lambda: lbacal.simulate("lofar-superterp", seed=-1), "seed: expected a whole number"),
+    "events as text": (lambda: lbacal.simulate("lofar-superterp", events="10"), "events: expected a whole number"),
+    "antennas as text": (lambda: lbacal.simulate("lofar-superterp", antennas="2"), "antennas: expected a whole number"),
     "a date in words": (lambda: see(at="May 2014"), "ISO 8601"),
     "a time zone by its name": (lambda: see(at="2014-05-01T12:00 CET"), "ISO 8601"),
     "a decimal year": (lambda: see(at=2014.5), "astropy Time"),
