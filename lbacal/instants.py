@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 import re
 import time
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, date, datetime, timedelta
 from typing import Any
+
+import numpy as np
 
 from lbacal_core.curves.validity import Instant
 from lbacal_core.errors import BadInputError
@@ -71,13 +73,17 @@ def parse_at(at: str | None, mjd: str | None) -> Instant:
 
 
 def format_time(instant: Any) -> str:
-    """ISO 8601 of an astropy Time, a datetime (naive = UTC) or text, which is sent as it is."""
+    """ISO 8601 of an astropy Time, a datetime or datetime64 (naive = UTC), a date or text, which is sent as it is."""
     if isinstance(instant, str):
         return instant
     if hasattr(instant, "utc") and hasattr(instant, "to_datetime"):
         instant = instant.utc.to_datetime(timezone=UTC)
+    elif isinstance(instant, np.datetime64):
+        instant = instant.astype("datetime64[us]").item()
+    elif isinstance(instant, date) and not isinstance(instant, datetime):
+        return instant.isoformat()
     if not isinstance(instant, datetime):
-        raise BadInputError("at", "an astropy Time, a datetime or ISO 8601 text", repr(instant)[:80])
+        raise BadInputError("at", "an astropy Time, a date, a datetime or ISO 8601 text", repr(instant)[:80])
     moment = instant if instant.tzinfo else instant.replace(tzinfo=UTC)
     return moment.astimezone(UTC).isoformat().replace("+00:00", "Z")
 

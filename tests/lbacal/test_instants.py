@@ -1,12 +1,14 @@
 from __future__ import annotations
 
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, date, datetime, timedelta
+from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lbacal.instants import format_instant, parse_at, parse_instant, parse_mjd
+from lbacal.instants import format_instant, format_time, parse_at, parse_instant, parse_mjd
 from lbacal_core.errors import BadInputError
 
 
@@ -87,3 +89,23 @@ def test_an_instant_stored_beyond_the_years_1_to_9999_does_not_break_what_lists_
 def test_a_query_asks_about_exactly_one_instant(at: str | None, mjd: str | None) -> None:
     with pytest.raises(BadInputError, match="either at"):
         parse_at(at, mjd)
+
+
+@pytest.mark.parametrize(
+    ("given", "written"),
+    [
+        (date(2014, 5, 1), "2014-05-01"),
+        (np.datetime64("2014-05-01"), "2014-05-01T00:00:00Z"),
+        (np.datetime64("2014-05-01T12:30:15.5"), "2014-05-01T12:30:15.500000Z"),
+        (np.datetime64("2014-05-01T12:30:15.123456789"), "2014-05-01T12:30:15.123456Z"),
+        (datetime(2014, 5, 1, 12), "2014-05-01T12:00:00Z"),  # noqa: DTZ001 - a naive one is UTC
+    ],
+)
+def test_dates_and_instants_of_numpy_are_written_as_others_are(given: Any, written: str) -> None:
+    assert format_time(given) == written
+
+
+@pytest.mark.parametrize("given", [np.datetime64("NaT"), np.datetime64("12014-05-01"), 2014])
+def test_what_is_no_instant_of_iso_8601_is_refused(given: Any) -> None:
+    with pytest.raises(BadInputError, match="an astropy Time, a date, a datetime or ISO 8601 text"):
+        format_time(given)
