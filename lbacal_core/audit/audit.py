@@ -28,7 +28,7 @@ from lbacal_core.audit.antennas import (
 )
 from lbacal_core.audit.sky_match import SkyMatch, SkyModels, load_models, tell_unit
 from lbacal_core.audit.station import FEWEST, AuditedStation, mean_frequencies, split_stations
-from lbacal_core.audit.verdict import UNDECIDED, WRONG, Line
+from lbacal_core.audit.verdict import ALIKE, UNDECIDED, WRONG, Line
 from lbacal_core.calibration.chain_test import LIKELY_MISTAKE
 from lbacal_core.curves.curves import FitReport
 from lbacal_core.errors import BadInputError
@@ -124,7 +124,7 @@ def _audit_station(
     is_off = find_ill_paths(station, as_recorded)[1].any(axis=1)
     working = np.flatnonzero(~is_off)
     of_unit = tell_unit(station, working, instrument)
-    if of_unit:
+    if any(line.verdict == WRONG for line in of_unit):
         return of_unit  # what else would be compared is no power
     steps = find_steps(station, working)
     wrong_cables, found = find_wrong_cables(station, as_recorded, instrument)
@@ -135,7 +135,7 @@ def _audit_station(
     if models is None or any(line.check == STEPPED for line in steps):
         # a series of two chains is no series of the sky
         exchanged = tell_exchanged(station, compare_polarisations(station, is_usable))
-        return [*steps, *ill, *wrong_cables, *exchanged]
+        return [*of_unit, *steps, *ill, *wrong_cables, *exchanged]
     asked = _ask_sky(SkyMatch(station, instrument, models), is_usable)
     if any(line.check == "unit" and line.verdict == WRONG for line in asked):
         return asked
@@ -187,7 +187,10 @@ class QuickAudit:
         wrong = self.report.wrong
         antennas = sum(station.antennas.size for station in self.report.stations)
         if not wrong:
-            return f"nothing wrong between {antennas} antennas (paths, cables, letters of single antennas, steps, unit)"
+            of_unit = [line for line in self.report.lines if line.check == "unit"]
+            checks = f"paths, cables, letters of single antennas, steps{'' if of_unit else ', unit'}"
+            doubts = "".join(f"; {line.station}: {line.sentence}" for line in of_unit if (line.log_odds or 0.0) > ALIKE)
+            return f"nothing wrong between {antennas} antennas ({checks}){doubts}"
         told = "; ".join(f"{line.station}: {line.sentence}" for line in wrong[:SHOWN])
         more = f"; and {len(wrong) - SHOWN} more" if len(wrong) > SHOWN else ""
         return f"{len(wrong)} wrong in {antennas} antennas (lbacal audit tells more): {told}{more}"

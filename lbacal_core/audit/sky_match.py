@@ -15,8 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.audit.antennas import DECIBEL, PAIR, fits_cables, log_likelihood_of_unit
-from lbacal_core.audit.station import SHARE, SHARE_SPREAD, SKY_HOURS, AnyReceiver, AuditedStation, Seen, make_series
+from lbacal_core.audit.station import (
+    FEWEST,
+    SHARE,
+    SHARE_SPREAD,
+    SKY_HOURS,
+    AnyReceiver,
+    AuditedStation,
+    Seen,
+    make_series,
+)
 from lbacal_core.audit.verdict import (
+    ALIKE,
     LEAST_GAIN,
     UNDECIDED,
     WRONG,
@@ -24,6 +34,7 @@ from lbacal_core.audit.verdict import (
     Possibility,
     conclude,
     describe,
+    doubt_unit,
     tell_drift,
     tell_summer,
 )
@@ -184,7 +195,8 @@ class SkyMatch:
         base = likelihood.log_likelihood(seen)
         units = _try_units(station, rows, self.instrument, base, likelihood.share(seen))
         if station.hours < SKY_HOURS:  # one departure of the sky from its models is all that they show
-            return [*self._say_too_short("clock", "arms"), *conclude(station.name, base, units, station.hours)]
+            told = conclude(station.name, base, units, station.hours, least_doubt=_least_doubt(station, rows))
+            return [*self._say_too_short("clock", "arms"), *told]
         arms = (None, *station.dipoles) if len(station.dipoles) > 1 else (None,)
         possibilities = [
             self._scan_clock(likelihood),
@@ -195,7 +207,8 @@ class SkyMatch:
         ]
         if len(station.dipoles) == PAIR:
             possibilities.append(_possible("exchange", likelihood, _exchanged(seen)))
-        lines = conclude(station.name, base, possibilities, station.hours, likelihood.fits(seen))
+        fits, least_doubt = likelihood.fits(seen), _least_doubt(station, rows)
+        lines = conclude(station.name, base, possibilities, station.hours, fits, least_doubt)
         if all(line.verdict != WRONG for line in lines):
             lines = self._ask_months(rows) or lines
         return [self._ask_time(line, rows) if "clock" in (line.kind, *line.candidates) else line for line in lines]
@@ -295,12 +308,20 @@ class SkyMatch:
 
 
 def tell_unit(station: AuditedStation, rows: NDArray[np.int64], instrument: Instrument) -> list[Line]:
-    """A line on the unit where it is wrong by what cables and spectrum say, else none.
+    """A line on the unit where it is wrong by what cables and spectrum say, or undecided, else none.
 
     `rows` are those of the station.
     """
     units = _try_units(station, rows, instrument, 0.0) if rows.size else []
-    return conclude(station.name, 0.0, units) if any(one.log_likelihood > LEAST_GAIN for one in units) else []
+    if any(one.log_likelihood > LEAST_GAIN for one in units):
+        return conclude(station.name, 0.0, units)
+    return doubt_unit(station.name, 0.0, units, _least_doubt(station, rows))
+
+
+def _least_doubt(station: AuditedStation, rows: NDArray[np.int64]) -> float:
+    """Ln L above which another unit is told: less where antennas, enough to be compared, have one cable name."""
+    is_silent = rows.size >= FEWEST and np.unique(station.cables[rows]).size == 1
+    return -ALIKE if is_silent else ALIKE
 
 
 def is_summer_time(time_unix: Floats) -> NDArray[np.bool_]:
@@ -377,7 +398,7 @@ def _try_units(
         if share is not None:
             said = _log_normal(share[0], factor, share[1]) - _log_normal(share[0], 1.0, share[1])
             odds += float(np.clip(said, -SHARE_SAYS, SHARE_SAYS))
-        if unit == "volt" and HALF[0] < station.scatter < HALF[1]:
+        if LEAST_OF_UNIT * factor < station.scatter < LEAST_OF_POWER:
             odds += SCATTER_SAYS
         found.append(Possibility(unit, base + odds))
     return found
@@ -390,8 +411,8 @@ def _log_normal(share: float, factor: float, error: float) -> float:
 
 
 LARGEST_DECIBEL = 300.0
-HALF, SCATTER_SAYS = (0.4, 0.65), 5.0
-"""Scatter over the least that power can have: that of amplitudes is half; and what it says, because durations on record
-may be wrong."""
+LEAST_OF_UNIT, LEAST_OF_POWER, SCATTER_SAYS = 0.8, 0.65, 5.0
+"""Scatter over the least that power can have: more than what a unit leaves of it (half in amplitudes), and less than
+power has; and what it says, because durations on record may be wrong."""
 SHARE_SAYS = 8.0
 """Most that the share of the sky says for a unit: receivers with unusual noise exist."""

@@ -173,7 +173,12 @@ class Possibility:
 
 
 def conclude(
-    station: str, base: float, possibilities: Sequence[Possibility], hours: float = float("inf"), base_fits: bool = True
+    station: str,
+    base: float,
+    possibilities: Sequence[Possibility],
+    hours: float = float("inf"),
+    base_fits: bool = True,
+    least_doubt: float = ALIKE,
 ) -> list[Line]:
     """Conclude which record is wrong, if any; else which parts of the record the data confirm.
 
@@ -185,6 +190,8 @@ def conclude(
         Sidereal time that the data cover.
     base_fits
         Whether the record describes the data.
+    least_doubt
+        ln L over that of the record above which another unit is told as undecided.
     """
     if not possibilities:
         return []
@@ -194,13 +201,8 @@ def conclude(
     if not (base_fits if gain < LEAST_GAIN else best.fits):
         return [Line(one.kind, UNDECIDED, station, NOTHING_FITS) for one in possibilities if one.kind in TELLING]
     if gain < LEAST_GAIN:
-        lines = [_confirm(station, one, base) for one in possibilities if one.kind in TELLING]
-        units = (one for one in possibilities if one.check == "unit")
-        likeliest = max(units, key=lambda one: one.log_likelihood, default=None)
-        if likeliest is not None and likeliest.log_likelihood - base > ALIKE:
-            sentence = f"perhaps {describe(likeliest)}: antennas on two kinds of cable would tell"
-            lines.append(Line("unit", UNDECIDED, station, sentence, log_odds=likeliest.log_likelihood - base))
-        return lines
+        told = [_confirm(station, one, base) for one in possibilities if one.kind in TELLING]
+        return [*told, *doubt_unit(station, base, possibilities, least_doubt)]
     near = [one for one in possibilities if best.log_likelihood - one.log_likelihood < alike_below]
     alike = [one for one in near if not any(one.is_chance_of(other) for other in near)]
     alike.sort(key=lambda one: -one.log_likelihood)
@@ -232,6 +234,16 @@ def conclude(
             kind=best.kind,
         )
     ]
+
+
+def doubt_unit(station: str, base: float, possibilities: Sequence[Possibility], least: float) -> list[Line]:
+    """A line on the likeliest other unit where its ln L is that of the record and so much more, else none."""
+    units = (one for one in possibilities if one.check == "unit")
+    likeliest = max(units, key=lambda one: one.log_likelihood, default=None)
+    if likeliest is None or likeliest.log_likelihood - base <= least:
+        return []
+    sentence = f"perhaps {describe(likeliest)}: antennas on two kinds of cable would tell"
+    return [Line("unit", UNDECIDED, station, sentence, log_odds=likeliest.log_likelihood - base)]
 
 
 def _tell_shift(station: str, clock: Possibility, signs: Sequence[Possibility], gain: float) -> Line:

@@ -43,8 +43,12 @@ def test_an_audit_has_a_row_a_line_and_shows_itself_in_a_notebook(audited: Audit
 
 
 def test_what_is_doubtful_is_not_called_nothing_wrong() -> None:
-    """One antenna in decibels: its cable cannot be compared with another, and a fit would be off by three."""
+    """One antenna in decibels or volts: its cable cannot be compared with another, and a fit would be off by three."""
     spectra = lbacal.simulate("lofar-superterp", events=120, antennas=1)
-    in_db = replace(spectra, power=10.0 * np.log10(spectra.power) + 60.0)
+    in_db, in_volts = (
+        lbacal.audit(replace(spectra, power=power), "lofar-superterp")
+        for power in (10.0 * np.log10(spectra.power) + 60.0, spectra.power**0.5)
+    )
     assert lbacal.audit(spectra, "lofar-superterp").title.endswith(": nothing wrong")
-    assert lbacal.audit(in_db, "lofar-superterp").title.endswith(": nothing wrong for certain, but doubtful: unit")
+    assert in_volts.title.endswith(": nothing wrong for certain, but doubtful: unit")
+    assert "the power is in decibels; or" in in_db.report.wrong[0].sentence

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.audit.audit import EVENTS, audit, audit_quickly
+from lbacal_core.audit.verdict import ALIKE
 from lbacal_core.calibration.chain_test import LIKELY_MISTAKE
 from lbacal_core.curves.curves import FitReport
 from lbacal_core.errors import BadInputError
@@ -171,9 +172,9 @@ def test_decibels_are_refused(spectra, low_band):
 SUPERTERP = load_instrument("lofar-superterp")
 
 
-def draw(antennas, events, seed):
+def draw(antennas, events, seed, instrument=SUPERTERP):
     settings = TwinSettings(stations=("CS002",), antennas=antennas, events_per_year=events)
-    return simulate_campaign(settings, SUPERTERP, compute_sky_power(SUPERTERP), np.random.default_rng(seed)).spectra
+    return simulate_campaign(settings, instrument, compute_sky_power(instrument), np.random.default_rng(seed)).spectra
 
 
 @pytest.fixture(scope="module")
@@ -224,6 +225,20 @@ def test_volts_of_five_antennas_passed_where_cables_alone_do_not_tell():
     audit_quickly(recorded, SUPERTERP).require_power("s.h5")
     with pytest.raises(BadInputError, match=r"an amplitude \(volts\), not its square"):
         audit_quickly(replace(recorded, power=recorded.power**0.5), SUPERTERP).require_power("s.h5")
+
+
+def test_another_unit_behind_cables_of_one_name_is_told_and_not_found_right():
+    """Decibels and amplitudes were `nothing wrong (... unit)`, without a line."""
+    of_one = replace(SUPERTERP, antennas=[replace(record, cable="80") for record in SUPERTERP.antennas])
+    power = draw(5, 60, 2, of_one)
+    found = audit_quickly(power, of_one).sentence
+    assert found == "nothing wrong between 5 antennas (paths, cables, letters of single antennas, steps)"
+    assert all(line.log_odds < ALIKE for line in audit(power, of_one).lines if line.check == "unit")
+    for values, named in ((10 * np.log10(power.power) + 60, "in decibels"), (power.power**0.5, "an amplitude")):
+        recorded = replace(power, power=values)
+        assert f"steps); CS002: perhaps the power is {named}" in audit_quickly(recorded, of_one).sentence
+        (line,) = [line for line in audit(recorded, of_one).lines if line.check == "unit"]
+        assert named in line.sentence
 
 
 def test_no_spectra_are_left_to_what_comes_after(spectra, low_band):
