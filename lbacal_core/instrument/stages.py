@@ -82,8 +82,12 @@ class Stage:
         for values, field in ((self.gain, "gain"), (self.noise_k, "noise temperature")):
             if values is not None:
                 _require_positive(values, f"{place}: {field}")
-        if self.error_k < 0 or (self.error_k > 0 and self.noise_k is None) or self.solid_angle_sr <= 0:
-            raise BadInputError(place, "an error >= 0 of a known noise temperature, and a solid angle > 0", "another")
+        if self.error_k < 0 or (self.error_k > 0 and self.noise_k is None):
+            raise BadInputError(place, "an error >= 0 of a known noise temperature", "another")
+        if not 0 < self.solid_angle_sr <= 4 * np.pi:
+            raise BadInputError(f"{place}: solid_angle_sr", "0 to 4 pi sr, the sphere", f"{self.solid_angle_sr:g}")
+        if self.kind == "cable" and self.gain is not None and self.gain.max() > 1.0:
+            raise BadInputError(f"{place}: gain", "a power factor <= 1 of a cable (dB <= 0)", f"{self.gain.max():g}")
         if self.kind in ("lna", "filter", "amplifier") and self.gain is None:
             raise BadInputError(place, "a gain", "none")
         if self.kind not in (*IN_LINE, "antenna") and self.gain is not None:

@@ -95,13 +95,16 @@ CAUSES = {
     "gain_temperature: until: expected an instant after since": {"since_unix": 1.5e9, "until_unix": 1.4e9},
     "gain_temperature: date_unix: expected an instant, s UTC, found True": {"parameters": {"date_unix": True}},
 }
+GROUND, COAX = {"name": "g", "kind": "ground"}, {"name": "coax", "kind": "cable"}
 STAGES = {
     "stages: expected a list of stages, found dict": LNA,
     "row 0: expected a stage with name and kind, found {'name': 'lna'}": [{"name": "lna"}],
     "row 0: expected the fields name, ": [{**LNA, "gian": 3}],
     "row 0: expected a gain, found none": [{"name": "lna", "kind": "lna"}],
     "expected no gain of what the antenna sees (ground), found one": [{"name": "g", "kind": "ground", "gain": 1.0}],
-    "an error >= 0 of a known noise temperature, and a solid angle > 0": [{**LNA, "noise_temperature_error_k": 3.0}],
+    "an error >= 0 of a known noise temperature": [{**LNA, "noise_temperature_error_k": 3.0}],
+    "solid_angle_sr: expected 0 to 4 pi sr, the sphere, found 90": [{**GROUND, "solid_angle_sr": 90}],
+    "row 0: gain: expected a power factor <= 1 of a cable (dB <= 0), found 2": [{**COAX, "gain": 2}],
     "stages: expected a name for each stage, found 'lna' twice": [LNA, LNA],
     "before what the signal passes, found lna, ground": [LNA, {"name": "g", "kind": "ground"}],
     "stages: expected the adc as the last stage, found adc, lna": [FREE, LNA],
