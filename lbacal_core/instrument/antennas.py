@@ -222,8 +222,10 @@ def parse_gain_provenance(content: Any, channels: int, place: str) -> GainProven
     shape, scale = content.get("shape_error"), content.get("scale_error")
     errors = np.empty(0) if shape is None else parse_numbers(shape if isinstance(shape, list) else [shape], place)
     scale_error = None if scale is None else parse_number(scale, f"{place}: scale_error")
-    if np.any(errors < 0) or (scale_error is not None and scale_error < 0):
-        raise BadInputError(place, "errors >= 0", "a negative one")
+    for field, values in (("shape_error", errors), ("scale_error", np.array([scale_error or 0.0]))):
+        wrong = values[~((values >= 0) & (values <= 1))]
+        if wrong.size:
+            raise BadInputError(f"{place}: {field}", "a fraction, 0 to 1 (0.1 for 10 %)", f"{wrong[0]:g}")
     return GainProvenance(
         kind=kind,
         source=parse_name(content.get("source"), f"{place}: source"),

@@ -294,7 +294,8 @@ def test_an_error_of_one_number_holds_in_every_channel():
         ({"source": None}, "source: expected a name"),
         ({"shape_error": [0.1, 0.2]}, "shape_error: expected a number a channel"),
         ({"shape_error": [0.1, "x", 0.2]}, "expected a finite number"),
-        ({"scale_error": -0.1}, "expected errors >= 0"),
+        ({"scale_error": -0.1}, r"scale_error: expected a fraction, 0 to 1 \(0.1 for 10 %\), found -0.1"),
+        ({"shape_error": 10}, r"shape_error: expected a fraction, 0 to 1 \(0.1 for 10 %\), found 10"),
     ],
 )
 def test_a_provenance_that_says_nothing_sensible_is_refused(change, said):
