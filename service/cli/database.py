@@ -49,7 +49,7 @@ def check() -> None:
 
 @db.command()
 def backup(output: Annotated[Path, typer.Argument(help="File to write.")]) -> None:
-    """Copy an SQLite database into a new file, while the service runs; for PostgreSQL there is pg_dump.
+    """Copy an SQLite database into a file, while the service runs; for PostgreSQL there is pg_dump.
 
     Example: lbacal db backup backup.sqlite
     """

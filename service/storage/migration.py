@@ -85,9 +85,9 @@ def find_revision(database: Database) -> str | None:
 
 
 def copy_sqlite(url: str, output: Path) -> int:
-    """Copy the database into a new file, whole or not at all, and check the copy; returns its size in bytes.
+    """Copy the database into a file, whole or not at all, and check the copy; returns its size in bytes.
 
-    The schema may be an old one: an upgrade begins with a backup. The file may not exist: it may be the last backup.
+    The schema may be an old one: an upgrade begins with a backup. An empty database replaces no backup.
     """
     address = make_url(url)
     if address.get_backend_name() != "sqlite":
@@ -95,8 +95,6 @@ def copy_sqlite(url: str, output: Path) -> int:
     source = Path(address.database or "")
     if not source.is_file():
         raise UnavailableError(NO_FILE, str(source.absolute()))
-    if output.exists():
-        raise BadInputError(str(output), "the name of a new file: a backup replaces none", "a file that exists")
     try:
         with written_beside(output) as beside:
             with closing(sqlite3.connect(source)) as there, closing(sqlite3.connect(beside)) as here:

@@ -583,11 +583,13 @@ def test_a_copy_of_nothing_or_of_another_database_is_refused(tmp_path: Path) -> 
     assert not (tmp_path / "x").exists()
 
 
-def test_a_backup_replaces_no_file(sqlite_template: Path, tmp_path: Path) -> None:
-    copy_sqlite(f"sqlite:///{sqlite_template}", tmp_path / "x")
+def test_an_empty_database_replaces_no_backup(sqlite_template: Path, tmp_path: Path) -> None:
+    for _ in range(2):  # every night into the same file
+        assert copy_sqlite(f"sqlite:///{sqlite_template}", tmp_path / "x") > 0
     before = (tmp_path / "x").read_bytes()
-    with pytest.raises(BadInputError, match="the name of a new file: a backup replaces none, found a file that exists"):
-        copy_sqlite(f"sqlite:///{sqlite_template}", tmp_path / "x")
+    (tmp_path / "typo.sqlite").touch()
+    with pytest.raises(UnavailableError, match="is empty"):
+        copy_sqlite(f"sqlite:///{tmp_path}/typo.sqlite", tmp_path / "x")
     assert (tmp_path / "x").read_bytes() == before
 
 
