@@ -134,7 +134,7 @@ class Client:
             A path such as ``("CS002", 17, "X")``; without dipole both, without antenna the whole station, without
             station all stations.
         at, as_of
-            When the data were taken, and when the question is asked (None: now): an astropy Time, a datetime
+            When the data were taken, and when the question is asked (None: now): an astropy Time, a date, a datetime
             (naive = UTC) or ISO 8601 text.
         gap
             ``hold`` answers with the nearest in time where nothing is in effect; such rows are ``uncertain``. A cache

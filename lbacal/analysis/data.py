@@ -143,7 +143,7 @@ def read(
     Parameters
     ----------
     since, until
-        Half-open interval of the events to use: an astropy Time, a datetime (naive = UTC) or ISO 8601 text.
+        Half-open interval of the events to use: an astropy Time, a date, a datetime (naive = UTC) or ISO 8601 text.
     stations
         Stations whose spectra to use; all unless given.
     tell

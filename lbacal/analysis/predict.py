@@ -142,7 +142,7 @@ def predict(
         array through the path's cable; or an instrument by itself, as in `lbacal.fit`; or None for the calibration in
         effect, which the server of `LBACAL_URL` answers with.
     at
-        An astropy Time, a datetime (naive = UTC) or ISO 8601 text.
+        An astropy Time, a date, a datetime (naive = UTC) or ISO 8601 text.
     temperature
         Outside temperature, deg C or a Quantity, for adopted causes that follow it.
     with_
