@@ -5,9 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from astropy import units as u
 
-from lbacal.units import convert_number
 from lbacal_core.curves.covariance import Budget, parse_budget, parse_covariance
 from lbacal_core.curves.curves import CONVERGED, CalibrationCurve
 from lbacal_core.curves.galcal import name_path
@@ -32,6 +30,9 @@ def calibrate_trace(samples: Any, sample_rate_mhz: Any, effective: QTable) -> Ca
     effective
         The answer of `lbacal.effective` for the one path that recorded the trace.
     """
+    from astropy import units as u
+
+    from lbacal.units import convert_number
     from lbacal_core.traces.voltage import calibrate_trace as calibrate
 
     curve = curve_of(effective)
