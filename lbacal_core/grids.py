@@ -63,17 +63,19 @@ def name_channels(frequency_mhz: Floats) -> str:
 CHANNELS_NAMED = 10
 LOWEST_MHZ, HIGHEST_MHZ = 1.0, 1e5
 """Nobody receives the Galaxy at 100 GHz, or below 1 MHz alone: other numbers are Hz or GHz."""
+HIGHEST_GALAXY_MHZ = 1e4
+"""Channels of an instrument lie below, those of a table of network analysers need not: from 10 MHz on kHz lie above."""
 
 
-def require_channels(place: str, frequency_mhz: Floats) -> None:
-    """Refuse a frequency axis that is empty, not finite, not positive or not rising."""
+def require_channels(place: str, frequency_mhz: Floats, highest_mhz: float = HIGHEST_MHZ) -> None:
+    """Refuse a frequency axis that is empty, not finite, not positive, not rising or in another unit than MHz."""
     if frequency_mhz.ndim != 1 or frequency_mhz.size == 0:
         raise BadInputError(f"{place}: frequency_mhz", "a list of channels", f"shape {frequency_mhz.shape}")
     bad = np.flatnonzero(~(np.isfinite(frequency_mhz) & (frequency_mhz > 0)))
     if bad.size:
         raise BadInputError(f"{place}: frequency_mhz, channel {bad[0]}", "finite MHz > 0", f"{frequency_mhz[bad[0]]:g}")
-    if not LOWEST_MHZ <= frequency_mhz[-1] <= HIGHEST_MHZ:
-        unit = "GHz" if frequency_mhz[-1] < LOWEST_MHZ else "Hz"
+    if not LOWEST_MHZ <= frequency_mhz[-1] <= highest_mhz:
+        unit = "GHz" if frequency_mhz[-1] < LOWEST_MHZ else "Hz" if frequency_mhz[-1] >= 1e6 * LOWEST_MHZ else "kHz"
         raise BadInputError(f"{place}: frequency_mhz", "MHz", f"{frequency_mhz[-1]:g}, which looks like {unit}")
     if np.any(np.diff(frequency_mhz) <= 0):
         k = int(np.flatnonzero(np.diff(frequency_mhz) <= 0)[0])

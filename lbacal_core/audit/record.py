@@ -170,7 +170,7 @@ def _correct(spectra: Spectra, instrument: Instrument, line: Line) -> tuple[Spec
     if line.check == "arms":
         turned = instrument.dipole_azimuth_deg if line.dipole is None else (line.dipole,)
         arms = instrument.dipole_azimuth_deg
-        arms = {one: azimuth + (line.value or 0.0) * (one in turned) for one, azimuth in arms.items()}
+        arms = {**arms, **{one: (arms[one] + (line.value or 0.0)) % 360.0 for one in turned}}
         return replace(spectra, arms_deg={}), replace(instrument, dipole_azimuth_deg=arms)
     here = instrument.at_station(line.station)
     north, east = here.latitude_deg, here.longitude_deg

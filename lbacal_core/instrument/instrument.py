@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from lbacal_core.errors import BadInputError, UnknownNameError, offer_name, require_name, require_parts
 from lbacal_core.foreign import parse_name, parse_number, parse_numbers, parse_optional_name, read_json, write_instant
-from lbacal_core.grids import Floats, find_channels, require_channels
+from lbacal_core.grids import HIGHEST_GALAXY_MHZ, Floats, find_channels, require_channels
 from lbacal_core.instrument.antennas import (
     ABSOLUTE,
     EXPECTED,
@@ -38,6 +38,8 @@ FEWEST_CHANNELS = 0.5
 """Share of an instrument's channels without which spectra are rather another instrument's."""
 LARGEST_TURN_DEG = 1.0
 """Azimuths of an arm that differ by less are the same: records round."""
+LARGEST_AZIMUTH_DEG = 360.0
+"""Azimuths are counted from north either way round, once at most."""
 STEEPEST_DEG = 90.0
 """Tilt of an arm that stands upright."""
 ALTERNATIVE = ("antenna_gain", "receiver_gain", "stages")
@@ -102,7 +104,7 @@ class Instrument:
 
     def __post_init__(self) -> None:
         place = f"instrument {self.name}"
-        require_channels(place, self.frequency_mhz)
+        require_channels(place, self.frequency_mhz, HIGHEST_GALAXY_MHZ)
         self._require_sites()
         self._require_dipoles()
         self._require_gain("antenna_gain", self.antenna_gain, np.inf)
@@ -138,15 +140,22 @@ class Instrument:
         for dipole, azimuth in self.dipole_azimuth_deg.items():
             if not is_dipole_name(dipole):
                 raise BadInputError(place, EXPECTED, repr(dipole))
-            if not np.isfinite(azimuth):
-                raise BadInputError(f"{place}.{dipole}.azimuth_deg", "finite degrees", f"{azimuth}")
+            if not abs(azimuth) <= LARGEST_AZIMUTH_DEG:
+                raise BadInputError(f"{place}.{dipole}.azimuth_deg", "-360 to 360", f"{azimuth:g}")
         if look_like_radians(self.dipole_azimuth_deg.values()):
             found = ", ".join(f"{dipole} {azimuth:.3g}" for dipole, azimuth in self.dipole_azimuth_deg.items())
-            meant = "degrees (360 more for one of arms that are so near each other)"
+            meant = "degrees (360 less for one of arms that are so near each other)"
             raise BadInputError(f"{place}: azimuth_deg", meant, f"{found}, which look like radians")
         for dipole, tilt in self.dipole_tilt_deg.items():
             if not abs(tilt) <= STEEPEST_DEG:
                 raise BadInputError(f"{place}.{dipole}.tilt_deg", "-90 to 90", f"{tilt}")
+        known: dict[tuple[float, float], str] = {}
+        for dipole, azimuth in self.dipole_azimuth_deg.items():
+            # a level arm has two ends
+            tilt = self.tilt_deg(dipole)
+            other = known.setdefault((azimuth % (360.0 if tilt else 180.0), tilt), dipole)
+            if other != dipole:
+                raise BadInputError(place, "arms that differ", f"{other} and {dipole}, which are parallel")
 
     @property
     def dipoles(self) -> tuple[str, ...]:
@@ -413,6 +422,8 @@ def parse_instrument(content: Any, place: str, folder: Path | None = None) -> In
     dipoles, cables, antennas = content["dipoles"], content["cables"], content["antennas"]
     if not isinstance(dipoles, dict) or not isinstance(cables, dict) or not isinstance(antennas, list):
         raise BadInputError(place, "dipoles and cables as objects, antennas as a list", "another shape")
+    if not antennas:
+        raise BadInputError(f"{place}: antennas", "one or more", "none")
     arrays = ("frequency_mhz", "antenna_gain", "receiver_gain")
     given: dict[str, Any] = {name: parse_number(content[name], f"{place}: {name}") for name in RANGES}
     given |= {name: parse_numbers(content[name], f"{place}: {name}") for name in arrays}

@@ -113,7 +113,7 @@ STAGES = {
     "one stage at least whose noise_temperature_k is free, or has an error, found none": [LNA],
 }
 INSTRUMENTS: dict[str, Callable[[], dict[str, Any]]] = {
-    "dipoles.X.azimuth_deg: expected finite degrees, found nan": lambda: {
+    "dipoles.X.azimuth_deg: expected -360 to 360, found nan": lambda: {
         "dipole_azimuth_deg": {"X": float("nan"), "Y": 135.0}},
     "dipoles.X.tilt_deg: expected -90 to 90, found 91": lambda: {"dipole_tilt_deg": {"X": 91}},
     "dipoles: expected one dipole or more, found none": lambda: {"dipole_azimuth_deg": {}},

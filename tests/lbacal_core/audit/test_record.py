@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lbacal_core.audit.record import NOT_NAMED, name_mistake, put_right
+from lbacal_core.audit.record import NOT_NAMED, _correct, name_mistake, put_right
 from lbacal_core.audit.sky_match import is_summer_time
+from lbacal_core.audit.verdict import Line
 from lbacal_core.simulation.simulation import Simulation
 from tests.lbacal_core.audit.conftest import make_spectra
 from tests.lbacal_core.audit.test_audit import exchange, kill
@@ -128,6 +129,12 @@ def test_arms_are_turned_and_a_place_is_moved_back(spectra, known):
     assert [one.cause.identifier for one in right.errors] == ["site"]
     assert right.simulation.instrument.latitude_deg == known.latitude_deg
     assert right.simulation.given is None
+
+
+def test_arms_that_are_turned_back_over_north_stay_within_a_turn(spectra, known):
+    line = Line("arms", "wrong", "CS002", "", value=50.0)
+    wrong = replace(known, dipole_azimuth_deg={"X": 20.0, "Y": 330.0})
+    assert _correct(spectra, wrong, line)[1].dipole_azimuth_deg == {"X": 70.0, "Y": 20.0}
 
 
 def test_a_latitude_that_is_off_is_moved_back(spectra, known):

@@ -59,6 +59,13 @@ WRONG_CONTENT: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "name of spaces": (put("name", ""), "name: expected a name, found ''"),
     "latitude NaN": (put("latitude_deg", float("nan")), "latitude_deg: expected a finite number, found nan"),
     "latitude too far": (put("latitude_deg", 99), "latitude_deg: expected -90 to 90, found 99"),
+    "channels in kHz": (put("frequency_mhz", [30e3, 50e3, 80e3]), "expected MHz, found 80000, which looks like kHz"),
+    "azimuth beyond a turn": (put("dipoles", "X", {"azimuth_deg": 4500}), "X.azimuth_deg: expected -360 to 360"),
+    "parallel arms": (
+        put("dipoles", "X", {"azimuth_deg": 315}),
+        "dipoles: expected arms that differ, found X and Y, which are parallel",
+    ),
+    "no antennas": (put("antennas", []), "antennas: expected one or more, found none"),
     "falling channels": (put("frequency_mhz", [80, 50, 30]), "channel 1: expected more than 80 MHz"),
     "no dipoles": (put("dipoles", {}), "dipoles: expected one dipole or more, found none"),
     "dipole named sky": (put("dipoles", "sky", {"azimuth_deg": 0}), "dipoles: expected a letter or name of up to 8"),
@@ -67,7 +74,7 @@ WRONG_CONTENT: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "azimuth as number": (put("dipoles", "X", 45), "dipoles.X: expected a finite number"),
     "arms in radians": (
         put("dipoles", {"X": {"azimuth_deg": 0.785}, "Y": {"azimuth_deg": 2.36}}),
-        r"expected degrees \(360 more .*, found X 0.785, Y 2.36, which look like radians",
+        r"expected degrees \(360 less .*, found X 0.785, Y 2.36, which look like radians",
     ),
     "short gain": (put("antenna_gain", [1, 1]), r"antenna_gain: expected 3 numbers, one a channel, found shape \(2,\)"),
     "gain zero": (
