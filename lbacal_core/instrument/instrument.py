@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.errors import BadInputError, UnknownNameError, offer_name, require_name, require_parts
+from lbacal_core.errors import BadInputError, UnknownNameError, offer_name, require_kind, require_name, require_parts
 from lbacal_core.foreign import parse_name, parse_number, parse_numbers, parse_optional_name, read_json, write_instant
 from lbacal_core.grids import HIGHEST_GALAXY_MHZ, Floats, find_channels, require_channels
 from lbacal_core.instrument.antennas import (
@@ -420,8 +420,9 @@ def parse_instrument(content: Any, place: str, folder: Path | None = None) -> In
     fields += ["antenna_gain", "receiver_gain", "cables", "antennas"]
     require_parts(place, "fields", fields, content)
     dipoles, cables, antennas = content["dipoles"], content["cables"], content["antennas"]
-    if not isinstance(dipoles, dict) or not isinstance(cables, dict) or not isinstance(antennas, list):
-        raise BadInputError(place, "dipoles and cables as objects, antennas as a list", "another shape")
+    require_kind(f"{place}: dipoles", dipoles, dict, "an object of azimuth_deg by letter")
+    require_kind(f"{place}: cables", cables, dict, "an object of losses by name")
+    require_kind(f"{place}: antennas", antennas, list, "a list")
     if not antennas:
         raise BadInputError(f"{place}: antennas", "one or more", "none")
     arrays = ("frequency_mhz", "antenna_gain", "receiver_gain")
@@ -432,7 +433,9 @@ def parse_instrument(content: Any, place: str, folder: Path | None = None) -> In
         **given,
         name=parse_name(content["name"], f"{place}: name"),
         dipole_azimuth_deg={
-            name: parse_number(arm.get("azimuth_deg") if isinstance(arm, dict) else None, f"{place}: dipoles.{name}")
+            name: parse_number(
+                arm.get("azimuth_deg") if isinstance(arm, dict) else None, f"{place}: dipoles.{name}.azimuth_deg"
+            )
             for name, arm in dipoles.items()
         },
         dipole_tilt_deg={

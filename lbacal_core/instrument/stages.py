@@ -25,7 +25,7 @@ from lbacal_core.errors import BadInputError, require_name
 from lbacal_core.foreign import parse_name, parse_number, parse_numbers
 from lbacal_core.grids import Floats, interpolate
 from lbacal_core.instrument.matching import Impedance, match_power, read_impedance, require_passive
-from lbacal_core.instrument.touchstone import read_touchstone
+from lbacal_core.instrument.touchstone import PORTS, read_touchstone
 
 SEEN = ("antenna", "ground", "ice")
 """Kinds that the antenna sees or is: `antenna` adds the same to P_sky at each frequency, the others are warm bodies."""
@@ -189,7 +189,8 @@ def parse_stages(content: Any, frequency_mhz: Floats, place: str, folder: Path |
         Where the Touchstone files are that it names; None where there are none to be read.
     """
     if not isinstance(content, list) or not content:
-        raise BadInputError(place, "a list of stages", type(content).__name__)
+        found = "an empty one" if isinstance(content, list) else type(content).__name__
+        raise BadInputError(place, "a list of one stage or more", found)
     stages = tuple(_parse_stage(one, frequency_mhz, f"{place}, row {k}", folder) for k, one in enumerate(content))
     require_chain(stages, place)
     return stages
@@ -207,6 +208,8 @@ def _parse_stage(content: Any, frequency_mhz: Floats, place: str, folder: Path |
     noise_k = None
     if noise not in (None, FREE):
         where = f"{place}: noise_temperature_k"
+        if isinstance(noise, str):
+            raise BadInputError(where, f"{FREE!r}, or kelvin as a number, a list or a table", repr(noise))
         noise_k = _require_positive(_on_channels(noise, "noise_temperature_k", frequency_mhz, where), where)
     stage = Stage(
         name=parse_name(content["name"], f"{place}: name"),
@@ -235,6 +238,11 @@ def _gain(content: Mapping[str, Any], frequency_mhz: Floats, place: str, folder:
     if isinstance(given, str):
         if folder is None:
             raise BadInputError(f"{place}: gain", "a number or a table (no folder to look for files in)", given)
+        if Path(given).suffix.lower() not in PORTS:
+            expected = (
+                f'a number, {{"frequency_mhz": [...], "gain_db": [...]}} or a Touchstone file ({", ".join(PORTS)})'
+            )
+            raise BadInputError(f"{place}: gain of stage {content['name']!r}", expected, repr(given))
         return read_touchstone_gain(folder / given, frequency_mhz)
     return _require_positive(_on_channels(given, "gain", frequency_mhz, f"{place}: gain"), f"{place}: gain")
 

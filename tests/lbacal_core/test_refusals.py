@@ -97,7 +97,9 @@ CAUSES = {
 }
 GROUND, COAX = {"name": "g", "kind": "ground"}, {"name": "coax", "kind": "cable"}
 STAGES = {
-    "stages: expected a list of stages, found dict": LNA,
+    "stages: expected a list of one stage or more, found dict": LNA,
+    "stages: expected a list of one stage or more, found an empty one": [],
+    "noise_temperature_k: expected 'free', or kelvin as ": [{**LNA, "noise_temperature_k": "Free"}],
     "row 0: expected a stage with name and kind, found {'name': 'lna'}": [{"name": "lna"}],
     "row 0: expected the fields name, ": [{**LNA, "gian": 3}],
     "row 0: expected a gain, found none": [{"name": "lna", "kind": "lna"}],

@@ -70,8 +70,8 @@ WRONG_CONTENT: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "no dipoles": (put("dipoles", {}), "dipoles: expected one dipole or more, found none"),
     "dipole named sky": (put("dipoles", "sky", {"azimuth_deg": 0}), "dipoles: expected a letter or name of up to 8"),
     "arm beyond upright": (put("dipoles", "X", {"azimuth_deg": 0, "tilt_deg": 91}), "X.tilt_deg: expected -90 to 90"),
-    "dipoles as list": (put("dipoles", [45, 135]), "expected dipoles and cables as objects, antennas as a list"),
-    "azimuth as number": (put("dipoles", "X", 45), "dipoles.X: expected a finite number"),
+    "dipoles as list": (put("dipoles", [45, 135]), "dipoles: expected an object of azimuth_deg by letter, found list"),
+    "azimuth as number": (put("dipoles", "X", 45), "dipoles.X.azimuth_deg: expected a finite number"),
     "arms in radians": (
         put("dipoles", {"X": {"azimuth_deg": 0.785}, "Y": {"azimuth_deg": 2.36}}),
         r"expected degrees \(360 less .*, found X 0.785, Y 2.36, which look like radians",

@@ -121,7 +121,9 @@ def test_a_touchstone_file_of_one_port_is_an_antenna_and_one_of_none_or_three_is
         gain_of({"gain": {"antenna": "one.s1p", "load": -50}}, tmp_path)
     (tmp_path / "three.s3p").write_text("# MHz S DB R 50\n" + "".join(f"{nu} {'-20 0 ' * 9}\n" for nu in (40, 90)))
     with pytest.raises(BadInputError, match=r"one port \(\.s1p\) or two \(\.s2p\), found '\.s3p'"):
-        gain_of({"gain": "three.s3p"}, tmp_path)
+        gain_of({"gain": {"antenna": "three.s3p", "load": 75}}, tmp_path)
+    with pytest.raises(BadInputError, match=r"gain of stage 'filter': .*\{.frequency_mhz.: .*, found 'filter\.csv'"):
+        gain_of({"gain": "filter.csv"}, tmp_path)
     (tmp_path / "no.s2p").write_text("nothing of the kind\n")
     with pytest.raises(UnreadableFileError, match="expected a Touchstone file"):
         gain_of({"gain": "no.s2p"}, tmp_path)
@@ -140,7 +142,7 @@ def test_a_touchstone_file_of_one_port_is_an_antenna_and_one_of_none_or_three_is
         ({"gain": "f.s2p"}, "no folder to look for files in"),
         ({"gain": 1, "noise": 3}, "noise_temperature_k, .*found noise"),
         ({"gain": 1, "noise_temperature_error_k": 3}, "an error >= 0 of a known noise temperature"),
-        ({"gain": 1, "noise_temperature_k": "unknown"}, "a finite number, found 'unknown'"),
+        ({"gain": 1, "noise_temperature_k": "unknown"}, "'free', or kelvin as .*, found 'unknown'"),
     ],
 )
 def test_a_stage_that_says_something_else_is_refused(content, message):
