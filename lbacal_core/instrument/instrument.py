@@ -416,6 +416,8 @@ def parse_instrument(content: Any, place: str, folder: Path | None = None) -> In
         frequency_mhz = parse_numbers(content.get("frequency_mhz"), f"{place}: frequency_mhz")
         stages = parse_stages(content["stages"], frequency_mhz, f"{place}: stages", folder)
         content = fill_fields(content, stages, frequency_mhz.size)
+    if stages and "antenna_gain" not in content:
+        raise BadInputError(f"{place}: antenna_gain", "the field, or a stage of kind antenna with a gain", "neither")
     fields = ["name", "latitude_deg", "longitude_deg", "height_m", "frequency_mhz", "dipoles"]
     fields += ["antenna_gain", "receiver_gain", "cables", "antennas"]
     require_parts(place, "fields", fields, content)

@@ -112,6 +112,12 @@ def test_a_touchstone_file_beside_the_instrument_gives_the_gain_from_port_1_to_p
     assert again.digest() == instrument.digest()
 
 
+def test_stages_without_one_of_the_antenna_do_not_give_its_gain():
+    content = {"frequency_mhz": NU.tolist(), "stages": [{"name": "amp", "kind": "amplifier", "gain": 2}, ADC_ROW]}
+    with pytest.raises(BadInputError, match="antenna_gain: expected the field, or a stage of kind antenna with a gain"):
+        parse_instrument(content, "i.json")
+
+
 def test_a_touchstone_file_of_one_port_is_an_antenna_and_one_of_none_or_three_is_refused(tmp_path):
     (tmp_path / "one.s1p").write_text("# MHz S DB R 75\n40 -20 0\n90 -20 0\n")
     np.testing.assert_allclose(gain_of({"gain": "one.s1p"}, tmp_path), 0.99)
