@@ -132,6 +132,7 @@ class Instrument:
             kelvin_error=chain.kelvin_error,
             sites={station: one.core() for station, one in (sites or {}).items()},
         )
+        self.core.require_arms_that_differ("antenna")
 
     @classmethod
     def load(cls, name_or_file: str | Path) -> Instrument:

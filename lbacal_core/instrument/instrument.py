@@ -149,13 +149,17 @@ class Instrument:
         for dipole, tilt in self.dipole_tilt_deg.items():
             if not abs(tilt) <= STEEPEST_DEG:
                 raise BadInputError(f"{place}.{dipole}.tilt_deg", "-90 to 90", f"{tilt}")
+
+    def require_arms_that_differ(self, place: str) -> None:
+        """Refuse a record of parallel arms; arms that data put right may be."""
         known: dict[tuple[float, float], str] = {}
         for dipole, azimuth in self.dipole_azimuth_deg.items():
             # a level arm has two ends
             tilt = self.tilt_deg(dipole)
             other = known.setdefault((azimuth % (360.0 if tilt else 180.0), tilt), dipole)
             if other != dipole:
-                raise BadInputError(place, "arms that differ", f"{other} and {dipole}, which are parallel")
+                found = f"{other} and {dipole}, which are parallel"
+                raise BadInputError(f"{place}: dipoles", "arms that differ", found)
 
     @property
     def dipoles(self) -> tuple[str, ...]:
@@ -431,7 +435,7 @@ def parse_instrument(content: Any, place: str, folder: Path | None = None) -> In
     given: dict[str, Any] = {name: parse_number(content[name], f"{place}: {name}") for name in RANGES}
     given |= {name: parse_numbers(content[name], f"{place}: {name}") for name in arrays}
     given |= {name: parse_optional_name(content.get(name), f"{place}: {name}") for name in ("antenna", "sky")}
-    return Instrument(
+    made = Instrument(
         **given,
         name=parse_name(content["name"], f"{place}: name"),
         dipole_azimuth_deg={
@@ -458,6 +462,8 @@ def parse_instrument(content: Any, place: str, folder: Path | None = None) -> In
         sites=parse_sites(content.get("sites"), f"{place}: sites", given["height_m"]),
         alternatives=alternatives,
     )
+    made.require_arms_that_differ(place)
+    return made
 
 
 def _parse_alternatives(
