@@ -585,6 +585,8 @@ FINER = (-0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75)
 
 IN_MHZ = ("band", "below", "above")
 """Laws whose numbers are frequencies."""
+DATED = ("step", "since", "between")
+"""Courses that begin at a date."""
 
 
 def finer(kinds: Mapping[str, Kind], form: Form, conditions: Conditions, share: float = 1.0) -> list[Form]:
@@ -594,11 +596,7 @@ def finer(kinds: Mapping[str, Kind], form: Form, conditions: Conditions, share: 
         first, second = (finer(kinds, own, conditions, share) for own in (one, other))
         return [*((PRODUCT, same, other) for same in first), *((PRODUCT, one, same) for same in second[1:])]
     moved: list[Form] = []
-    if form[0] in (
-        "step",
-        "since",
-        "between",
-    ):  # in the middle of a gap between events: an effect begins anywhere in it
+    if form[0] in DATED:  # in the middle of a gap between events: an effect begins anywhere in it
         gaps = pairwise(conditions.dates_about(_unix(form[1])))
         moved += [(form[0], write_instant(sum(pair) / 2.0), *form[2:]) for pair in gaps]
     moved += [(*form[:2], level) for level in _levels(conditions, form)]
@@ -631,9 +629,7 @@ def is_of_dates(course: Sequence[Any]) -> bool:
     """Whether a course is one of dates or of the number of an event, which do not recur, or of the season."""
     if course[0] == PRODUCT:
         return is_of_dates(course[1]) or is_of_dates(course[2])
-    return course[0] in ("step", "since", "between", "ramp", "every") or (
-        course[0] in ("wave", "near", SERIES) and course[1] == YEAR
-    )
+    return course[0] in (*DATED, "ramp", "every") or (course[0] in ("wave", "near", SERIES) and course[1] == YEAR)
 
 
 # Places in the chain. What each does is linear in the change, shape (class or 1, event, freq).
@@ -961,7 +957,7 @@ def _check(kinds: Mapping[str, Kind], form: Form) -> None:
         _check(kinds, other)
         return
     signature(kinds[name].values).bind(None, *numbers)
-    if name in ("step", "since", "between", "ramp"):
+    if name in (*DATED, "ramp"):
         _unix(numbers[0])
     if (name == SERIES and len(numbers) % 2 != 1) or (name in (SERIES, CURVE) and not any(numbers[1:])):
         raise ValueError(numbers)

@@ -5,12 +5,13 @@ import json
 import sqlalchemy as sa
 from alembic import op
 
-from lbacal_core.spectra.spectra import POSSIBLE
-
 revision = "0033"
 down_revision = "0032"
 branch_labels = None
 depends_on = None
+
+POSSIBLE = {"temperature_c": (-90.0, 60.0), "rain_mm_h": (0.0, 2300.0)}
+"""As `lbacal_core.spectra.spectra` had it then: what was migrated stays."""
 
 
 def upgrade() -> None:
