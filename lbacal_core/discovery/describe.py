@@ -20,7 +20,7 @@ from lbacal_core.discovery.findings import gain_in_chi_squared
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.project import LinearModel
-from lbacal_core.discovery.refit import FittedModel, held_out_gain, refit
+from lbacal_core.discovery.refit import FittedModel, act_together, held_out_gain, refit
 from lbacal_core.discovery.residual_structure import STATION, ResidualStructure, find_structure
 from lbacal_core.discovery.scan import SpectralFamily, score_families
 from lbacal_core.discovery.sentences import (
@@ -32,6 +32,7 @@ from lbacal_core.discovery.sentences import (
     gated,
     likeliest_sentences,
     list_ripples,
+    move_numbers,
     places_of,
     refine_sentence,
     scatter_by_numbers,
@@ -45,7 +46,7 @@ from lbacal_core.grids import Floats
 LIKELY, KEPT, FITTED = 12, 6, 4
 """Courses that are tried with all laws, sentences tried for all targets, and sentences fitted with the chain."""
 ROUNDS, REFINED = 4, 4
-"""Rounds in each of which a sentence is varied, and variations whose numbers are moved."""
+"""Rounds in each of which a sentence is varied, or the numbers of its curve fitted; variations with moved numbers."""
 SHARE = 0.5
 """Share of the gain of the best variation below which the numbers of another are not moved."""
 POINTED_BY: Sequence[str] = ("sky", "polarisation", "receiver", "converter")
@@ -280,13 +281,31 @@ def _fit(before: FittedModel, one: ScoredSentence) -> tuple[Described, FittedMod
     after = refit(before, Hypothesis(SENTENCE, one.template, one.target, one.size))
     if after is None:
         return None
+    after, gain = _fit_numbers(before, after)
     hypothesis = after.hypotheses[-1]
     conditions = before.station.conditions
     if not SENTENCE.is_physical(conditions, hypothesis.template, hypothesis.size, hypothesis.uncertainty):
         return None
     held_out = held_out_gain(before, hypothesis, [hypothesis.template])
-    hypothesis = replace(hypothesis, template_sigma=scatter_by_numbers(before.linear, one))
-    return Described(hypothesis, gain_in_chi_squared(before, after), one.length, held_out), after
+    scatter = np.hypot(hypothesis.template_sigma, scatter_by_numbers(before.linear, one))
+    hypothesis = replace(hypothesis, template_sigma=float(scatter))
+    return Described(hypothesis, gain, one.length, held_out), after
+
+
+def _fit_numbers(before: FittedModel, after: FittedModel) -> tuple[FittedModel, float]:
+    """The model with the numbers of a curve of its last hypothesis fitted beside its size, and its gain in chi^2."""
+    gain = gain_in_chi_squared(before, after)
+    for _ in range(ROUNDS):
+        *others, one = after.hypotheses
+        moved = move_numbers(after.linear, act_together(after.station, after.baseline.terms, others), one)
+        tried = None if moved is None else refit(before, moved)
+        more = gain if tried is None else gain_in_chi_squared(before, tried)
+        if moved is not None:
+            one = replace(one, template_sigma=moved.template_sigma)
+        if tried is None or more <= gain:
+            return replace(after, hypotheses=[*others, one]), gain
+        after, gain = tried, more
+    return after, gain
 
 
 # What is said beside the sentences: how much of it each antenna shows, and what would tell two of them apart.

@@ -16,6 +16,7 @@ from lbacal_core.discovery.describe import (
     Description,
     _amounts,
     _count_events,
+    _fit,
     _fit_likely,
     _without_idle,
     describe_structure,
@@ -200,6 +201,20 @@ def test_the_size_of_a_curve_that_is_estimated_has_the_sign_of_the_change(factor
     assert parts_of(first.template)[1][:1] == ("curve",)
     assert np.sign(first.size) == np.sign(factor - 1.0)
     assert law_of(station.conditions, parts_of(first.template)[1]).mean() > 0.0
+
+
+def test_the_curve_of_a_large_change_is_that_of_the_change_and_not_of_its_logarithm(clean, simulation):
+    """To first order it differs less along the band: 0.9 to 0.2 was 1.03 to 0.33."""
+    nu, is_late = clean.frequency_mhz, (clean.antenna == 3) & (clean.time_unix > 1404000000.0)
+    power = clean.power * (1.0 + is_late[:, None] * np.interp(nu, nu[[0, -1]], [0.9, 0.2]))
+    model = fit_chain(gather_stations(replace(clean, power=power), simulation)[0])
+    target = next(one for one in list_targets(model.station) if one.label == "antenna 3")
+    said = sentence("record", ("flat",), ("step", "2014-06-29T00:00:00Z"))
+    first = estimate_sentence(model.linear, ScoredSentence(said, target, 1.0, 1.0, 0.0), 1)[0]
+    own = _fit(model, first)[0].hypothesis
+    shown = own.size * law_of(model.station.conditions, parts_of(own.template)[1])[0, 0]
+    assert own.size == pytest.approx(0.9, abs=3 * own.uncertainty)
+    np.testing.assert_allclose(shown[[0, -1]], [0.9, 0.2], atol=0.02)
 
 
 @pytest.mark.long
