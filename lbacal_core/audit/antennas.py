@@ -165,7 +165,7 @@ def _find_dead(station: AuditedStation, a: int, d: int) -> list[tuple[Edge | Non
     for run in np.flatnonzero(np.diff(is_dead, prepend=False, append=False)).reshape(-1, 2).tolist():
         if run[1] - run[0] >= FEWEST_BESIDE:
             since, until = (
-                _edge(station.time_unix[known], at, np.array([at]))
+                find_edge(station.time_unix[known], at, np.array([at]))
                 if min(at, known.size - at) >= FEWEST_BESIDE
                 else None
                 for at in run
@@ -613,7 +613,7 @@ def _find_dated(rows: NDArray[np.int64], ratio: Floats, common: CommonChange, ti
         k = int(np.argmin(left))
         odds, variance = _odds_of_parts(common, seen, own, np.arange(known.size) >= splits[k])
         if odds.prod() < 0 and np.abs(odds).min() > CERTAIN + np.log(splits.size):
-            edge = _edge(when, splits[k], splits[left - left[k] <= DATE_SIGMA**2 * variance])
+            edge = find_edge(when, splits[k], splits[left - left[k] <= DATE_SIGMA**2 * variance])
             since, until = (edge, None) if odds[1] > 0 else (None, edge)
             found.append(ExchangedPart(int(row), since, until, float(np.abs(odds).min())))
             continue
@@ -626,8 +626,8 @@ def _find_dated(rows: NDArray[np.int64], ratio: Floats, common: CommonChange, ti
         odds, variance = _odds_of_parts(common, seen, own, (at >= begin) & (at < end))
         if odds[0] < 0 < odds[1] and np.abs(odds).min() > CERTAIN + 2.0 * np.log(splits.size):
             reach, inner = 0.5 * DATE_SIGMA**2 * variance, np.arange(1, known.size)
-            since = _edge(when, begin, inner[(inner < end) & (walk[inner] - walk[begin] <= reach)])
-            until = _edge(when, end, inner[(inner > begin) & (walk[end] - walk[inner] <= reach)])
+            since = find_edge(when, begin, inner[(inner < end) & (walk[inner] - walk[begin] <= reach)])
+            until = find_edge(when, end, inner[(inner > begin) & (walk[end] - walk[inner] <= reach)])
             found.append(ExchangedPart(int(row), since, until, float(np.abs(odds).min())))
     return found
 
@@ -641,7 +641,7 @@ def _odds_of_parts(common: CommonChange, seen: Floats, own: Floats, is_in: NDArr
     return np.where(follows, -2.0 * slope / error**2, 0.0), variance
 
 
-def _edge(when: Floats, at: int, near: NDArray[np.int64]) -> Edge:
+def find_edge(when: Floats, at: int, near: NDArray[np.int64]) -> Edge:
     """The edge before an instant, by its number, and those before others that it may be as well."""
     last, first, earliest, latest = when[[at - 1, at, near[0] - 1, near[-1]]].tolist()
     return Edge((last + first) / 2, earliest, latest)

@@ -26,6 +26,7 @@ from lbacal_core.audit.antennas import (
     find_wrong_cables,
     tell_exchanged,
 )
+from lbacal_core.audit.moved import find_moved
 from lbacal_core.audit.sky_match import SkyMatch, SkyModels, load_models, tell_unit
 from lbacal_core.audit.station import FEWEST, AuditedStation, mean_frequencies, split_stations
 from lbacal_core.audit.verdict import ALIKE, UNDECIDED, WRONG, Line
@@ -126,7 +127,7 @@ def _audit_station(
     of_unit = tell_unit(station, working, instrument)
     if any(line.verdict == WRONG for line in of_unit):
         return of_unit  # what else would be compared is no power
-    steps = find_steps(station, working)
+    steps = [*find_steps(station, working), *find_moved(station, working)]
     wrong_cables, found = find_wrong_cables(station, as_recorded, instrument)
     station = station.with_cables(found, instrument)
     comparison = compare_paths(station)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lbacal_core.audit.audit import audit
+from lbacal_core.audit.moved import MOVED
 from lbacal_core.audit.sky_match import is_summer_time
 from lbacal_core.audit.verdict import SUMMER_TIME, Line
 from lbacal_core.causes.catalogue import CAUSES
@@ -28,7 +29,10 @@ SITE = Description(
     "the station stands elsewhere than its record says",
     "compare the coordinates on record with a map; the transit of the Sun or of a pulsar tells the longitude by itself",
 )
-"""It has no size, and is no cause that a model could adopt."""
+PLACES = Description(
+    "antenna_exchange", "", "two antennas change places on a date", "follow the cables of both to their receivers"
+)
+"""These have no size, and are no causes that a model could adopt."""
 EXCHANGE = "exchange"
 _OF_KIND = {
     EXCHANGE: "dipole_swap",
@@ -37,13 +41,14 @@ _OF_KIND = {
     "clock": "lst_offset",
     SUMMER_TIME: "lst_offset",
     "longitude sign": "lst_offset",
+    MOVED: PLACES.identifier,
     "latitude": SITE.identifier,
     "latitude sign": SITE.identifier,
     "latitude for longitude": SITE.identifier,
 }
 OF_RECORD = frozenset(_OF_KIND.values())
 """Causes that an error of the record is."""
-_BY_NAME: dict[str, Description] = {one.identifier: one for one in (*CAUSES, SITE)}
+_BY_NAME: dict[str, Description] = {one.identifier: one for one in (*CAUSES, SITE, PLACES)}
 OF_NOBODY_S = 43_200.0
 """Spectra so near to where a clock became another are left out, s: twelve hours, the most that a clock is off."""
 EXCHANGED = 1.0
@@ -163,6 +168,11 @@ def _correct(spectra: Spectra, instrument: Instrument, line: Line) -> tuple[Spec
         is_wrong &= line.is_during(spectra.time_unix)
         exchanged = np.where(spectra.dipole == one, other, one)
         return replace(spectra, dipole=np.where(is_wrong, exchanged, spectra.dipole)), instrument
+    if line.kind == MOVED:
+        at = np.flatnonzero(np.isin(spectra.antenna, line.antennas) & line.is_during(spectra.time_unix))
+        antenna = spectra.antenna.copy()
+        antenna[at] = sum(line.antennas) - antenna[at]
+        return replace(spectra, antenna=antenna), instrument
     if line.value is not None and line.unit == "h":
         late_h = np.where(is_summer_time(spectra.time_unix), *(line.seasons_h or (line.value, line.value)))
         late_s = late_h * SIDEREAL_DAY_S / 24.0
