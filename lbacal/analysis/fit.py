@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -40,7 +41,11 @@ from lbacal_core.curves.curves import CONVERGED, MISFIT, Anomalies, CalibrationC
 from lbacal_core.curves.galcal import describe_made_with
 from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.discovery.forward import divide_out
-from lbacal_core.errors import BadInputError, require_name
+from lbacal_core.drift.events import measure_spectra
+from lbacal_core.drift.follow import History, follow
+from lbacal_core.drift.report import describe_followed
+from lbacal_core.errors import BadInputError, require_name, write_change
+from lbacal_core.foreign import write_instant
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.pipeline import calibrate
 from lbacal_core.simulation.simulation import Simulation
@@ -183,7 +188,12 @@ def fit(
     return Calibration(
         title=f"{simulation.instrument.name}: {counted} of {len(report.curves)} curves converged",
         rows=tabulate_curves(report.curves),
-        notes=[*sentences, *explained, *_describe_rest(report, simulation, len(measured))],
+        notes=[
+            *sentences,
+            *explained,
+            *_describe_rest(report, simulation, len(measured)),
+            *_describe_changes(report, measured, seen),
+        ],
         charts=draw,
         main=lambda: draw_c(report.curves),
         columns=len({curve.dipole for curve in report.curves}),
@@ -255,6 +265,33 @@ def _describe_unsteady(report: FitReport) -> Iterator[str]:
                 f"{name}: its power scatters by {100 * scatter:.0f} % from event to event, that of the typical path by "
                 f"{100 * typical:.0f} %: it changed, or fails at times, and C is that of the mean"
             )
+
+
+def _describe_changes(report: FitReport, spectra: Spectra, simulation: Simulation) -> Iterator[str]:
+    """The steps and slopes of paths beside their station, where C of the fit is that of the mean."""
+    if report.causes:  # which say of their steps themselves
+        return
+    references = defaultdict[tuple[str | None, str | None], dict[int, CalibrationCurve]](dict)
+    for one in report.curves:
+        if one.antenna is not None and one.c is not None:
+            references[one.station, one.dipole][one.antenna] = one
+    if not references:
+        return
+    modes = measure_spectra(spectra, lambda station, dipole: references[station, dipole], simulation)
+    history = History.of(modes, {})
+    found = describe_followed(history, follow(history), spectra.frequency_mhz)
+    for step in found["changes"]:
+        members = ", ".join(map(_name_path, step["members"]))
+        size, date = write_change(step["size"], step["sigma"]), write_instant(step["date_unix"])[:10]
+        days = f"{step['date_sigma_days']:.0f} days"
+        yield f"{step['station']} {members}: C steps by {size} about {date} ± {days}, and C is that of the mean"
+    for slope in (one for one in found["slopes"] if one["is_found"]):
+        size = write_change(slope["slope"], slope["sigma"])
+        yield f"{slope['station']} {_name_path(slope)}: C changes by {size} a year beside the others"
+
+
+def _name_path(one: Mapping[str, Any]) -> str:
+    return str(one["dipole"]) if one["antenna"] is None else f"antenna {one['antenna']} {one['dipole']}"
 
 
 def _describe_chain(chain: ReferenceChain) -> str:

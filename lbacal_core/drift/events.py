@@ -13,7 +13,7 @@ taken less their weighted mean so that they leave the gain alone.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,8 +24,8 @@ from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.grids import Floats
 from lbacal_core.linear import solve_symmetric
 from lbacal_core.simulation.simulation import Simulation
-from lbacal_core.spectra.blocks import SpectraBlock
-from lbacal_core.spectra.screening import DEAD, FEWEST_EVENTS, may_be_left_out, robust_sigma
+from lbacal_core.spectra.blocks import Recorded, SpectraBlock, split_into_blocks
+from lbacal_core.spectra.screening import DEAD, FEWEST_EVENTS, may_be_left_out, robust_sigma, screen_block
 
 FAINTEST = 0.7
 """Share of the noise of the receiver below which nothing is recorded: that noise is known to some ten percent."""
@@ -79,6 +79,18 @@ def measure_event_modes(
     ln_c[is_known, 0] = -0.5 * np.log(gain[is_known])
     ln_c[is_known, 1:] = -0.5 * _fit_modes(ratio / np.where(is_known, gain, 1.0)[:, :, None], weight, modes)[is_known]
     return EventModes(block.antennas[rows], block.time_unix, ln_c)
+
+
+def measure_spectra(
+    spectra: Recorded, references: Callable[[str, str], Mapping[int, CalibrationCurve]], simulation: Simulation
+) -> list[tuple[str, str, EventModes]]:
+    """Measure the screened events of each station and dipole against its reference curves, by antenna number."""
+    found = []
+    for block in split_into_blocks(spectra):
+        screened = screen_block(block, simulation.instrument.at_station(block.station).longitude_deg).block
+        curves = references(block.station, block.dipole)
+        found.append((block.station, block.dipole, measure_event_modes(screened, curves, simulation)))
+    return found
 
 
 def predict_power(

@@ -8,6 +8,7 @@ one of a station, and what all of them share are told apart, and each is reporte
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +17,7 @@ from scipy.optimize import brentq
 from scipy.special import stdtr, stdtrit
 
 from lbacal_core.calibration.slow_changes import YEAR_S
-from lbacal_core.drift.events import find_months
+from lbacal_core.drift.events import MODES, EventModes, find_months
 from lbacal_core.drift.model import FEWEST_COMPANIONS, SLOPE, Series, smooth_columns
 from lbacal_core.drift.search import Found, search_series
 from lbacal_core.grids import Floats
@@ -202,6 +203,42 @@ class History:
     time_unix: Floats
     ln_c: NDArray[np.float32]
     known_unix: Floats
+
+    @classmethod
+    def of(
+        cls, modes: Sequence[tuple[str, str, EventModes]], changes: Mapping[tuple[str, int], Sequence[float]]
+    ) -> History:
+        """Lay events, each with its station and dipole, on one axis.
+
+        Parameters
+        ----------
+        changes
+            Dates of hardware changes, s UTC, by station and antenna: the path's own events tell the size of one, if
+            there are some before and after it.
+        """
+        keys = sorted({(name, antenna, letter) for name, letter, one in modes for antenna in one.antennas.tolist()})
+        row = {key: k for k, key in enumerate(keys)}
+        time_unix = np.unique(np.concatenate([one.time_unix for *_, one in modes]))
+        ln_c = np.full((len(keys), time_unix.size, len(MODES)), np.nan, dtype=np.float32)
+        for name, letter, one in modes:
+            rows = np.array([row[name, antenna, letter] for antenna in one.antennas.tolist()], dtype=np.int64)
+            ln_c[np.ix_(rows, np.searchsorted(time_unix, one.time_unix))] = one.ln_c
+        dates = [changes.get((station, antenna), ()) for station, antenna, _ in keys]
+        known = np.full((len(keys), max(map(len, dates), default=0)), np.inf)
+        for k, of_path in enumerate(dates):
+            known[k, : len(of_path)] = of_path
+        station, antenna, dipole = (np.array(column) for column in zip(*keys, strict=True))
+        history = cls(station, antenna.astype(np.int64), dipole, time_unix, ln_c, known)
+        first, last = history.spans
+        known[(known <= first[:, None]) | (known > last[:, None])] = np.inf
+        return history
+
+    @property
+    def spans(self) -> tuple[Floats, Floats]:
+        """The first and the last event of each path, s UTC; infinite where it has none."""
+        is_known = np.isfinite(self.ln_c[..., 0])
+        first = np.where(is_known, self.time_unix, np.inf).min(axis=1)
+        return first, np.where(is_known, self.time_unix, -np.inf).max(axis=1)
 
 
 @dataclass(frozen=True)

@@ -170,7 +170,7 @@ def describe_followed(history: History, followed: Followed, frequency_mhz: Float
             trend = measure_whole(history.time_unix, followed.paths.median[rows].mean(axis=0))
         if trend is not None:
             trends[station] = _trend(trend, frequency_mhz)
-    return {
+    report = {
         "threshold_sigma": followed.paths.threshold,
         "first_unix": float(history.time_unix[0]),
         "last_unix": float(history.time_unix[-1]),
@@ -179,6 +179,25 @@ def describe_followed(history: History, followed: Followed, frequency_mhz: Float
         "trends": trends,
         "silent": list(_silent(history)),
     }
+    return _drop_noise(report)
+
+
+def _drop_noise(report: dict[str, Any]) -> dict[str, Any]:
+    """The report of a watch without members of changes that are below its threshold, and with every path once.
+
+    Among few antennas the median of a station follows the step of one, and the search finds another one stepping the
+    other way. Once the medians are settled, what is left of that is noise.
+    """
+    threshold = report["threshold_sigma"]
+    for change in report["changes"]:
+        once = dict[tuple[int | None, str], dict[str, Any]]()
+        for one in change["members"]:
+            once.setdefault((one["antenna"], one["dipole"]), one)
+        change["members"] = list(once.values())
+        if not change["is_known"]:
+            first, *others = change["members"]
+            change["members"] = [first, *(one for one in others if one["significance"] >= threshold)]
+    return report
 
 
 def _silent(history: History) -> Iterator[dict[str, Any]]:

@@ -12,11 +12,11 @@ from lbacal.instants import SECOND_US
 from lbacal_core.causes.model import Model
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.curves.validity import Instant, Scope
-from lbacal_core.drift.events import EventModes, add_events, average_months, measure_event_modes
+from lbacal_core.drift.events import EventModes, add_events, average_months, measure_spectra
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import hash_content
 from lbacal_core.spectra.blocks import split_into_blocks
-from lbacal_core.spectra.screening import LARGEST_SHARE_OF_LATER, screen_block
+from lbacal_core.spectra.screening import LARGEST_SHARE_OF_LATER
 from lbacal_core.spectra.spectra import Spectra
 from service.storage.database import Database, Stores
 from service.storage.drift import NUMBERS, PathMonths
@@ -112,11 +112,9 @@ def _add(fits: Fits, now: Sums, later: Later, curves: Curves) -> dict[str, Event
 
 def _measure(fits: Fits, spectra: Spectra, model: Model, curves: Curves) -> dict[str, EventModes]:
     """The events of the paths that have a reference, by dipole; what an adopted cause does is no drift."""
-    simulation, events = fits.simulation, {}
-    for block in split_into_blocks(spectra if model.is_plain else fits.fit_causes(spectra, model).spectra):
-        screened = screen_block(block, simulation.instrument.at_station(block.station).longitude_deg).block
-        events[block.dipole] = measure_event_modes(screened, curves[block.dipole], simulation)
-    return events
+    without = spectra if model.is_plain else fits.fit_causes(spectra, model).spectra
+    measured = measure_spectra(without, lambda _, dipole: curves[dipole], fits.simulation)
+    return {dipole: modes for _, dipole, modes in measured}
 
 
 def write_events(events: Mapping[str, EventModes]) -> dict[str, Any]:

@@ -162,24 +162,6 @@ class _Part:
     words: str
 
 
-def drop_noise(report: dict[str, Any]) -> dict[str, Any]:
-    """The report of a watch without members of changes that are below its threshold, and with every path once.
-
-    Among few antennas the median of a station follows the step of one, and the search finds another one stepping the
-    other way. Once the medians are settled, what is left of that is noise.
-    """
-    threshold = report["threshold_sigma"]
-    for change in report["changes"]:
-        once = dict[tuple[int | None, str], dict[str, Any]]()
-        for one in change["members"]:
-            once.setdefault((one["antenna"], one["dipole"]), one)
-        change["members"] = list(once.values())
-        if not change["is_known"]:
-            first, *others = change["members"]
-            change["members"] = [first, *(one for one in others if one["significance"] >= threshold)]
-    return report
-
-
 def split_by_size(change: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Split a change into those of one size: both polarisations of an antenna are one, and others whose sizes agree.
 

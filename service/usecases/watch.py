@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lbacal.instants import DAY_US, SECOND_US, format_instant
 from lbacal_core.calibration.slow_changes import YEAR_S
@@ -32,7 +31,7 @@ from service.storage.database import Database, Stores
 from service.storage.jobs import Part
 from service.storage.spectra import EVENT_SPAN_US, Window
 from service.storage.sums import DRIFT, Sums
-from service.usecases.gate import PLAIN, drop_noise, name_members, split_by_size, tell_change
+from service.usecases.gate import PLAIN, name_members, split_by_size, tell_change
 
 if TYPE_CHECKING:
     from lbacal_core.drift.follow import History
@@ -87,45 +86,16 @@ class Watch:
         from lbacal_core.drift.follow import follow  # with scipy: only workers need it
         from lbacal_core.drift.report import describe_followed
 
-        return drop_noise(describe_followed(history, follow(history), self.instrument.frequency_mhz))
+        return describe_followed(history, follow(history), self.instrument.frequency_mhz)
 
 
 def assemble_history(years: Iterable[Sums], changes: Mapping[tuple[str, int], Sequence[float]]) -> History:
-    """Lay what is kept of all years and stations on one axis of events.
-
-    Parameters
-    ----------
-    changes
-        Dates of hardware changes, s UTC, by station and antenna: the path's own events tell the size of one, if there
-        are some before and after it.
-    """
-    from lbacal_core.drift.events import MODES
+    """Lay what is kept of all years and stations on one axis of events, with the dates of hardware changes."""
     from lbacal_core.drift.follow import History
     from service.usecases.drift_measurement import read_events
 
     modes = [(str(one.scope.station), *of) for one in years for of in read_events(one.arrays).items()]
-    keys = sorted({(name, antenna, letter) for name, letter, one in modes for antenna in one.antennas.tolist()})
-    row = {key: k for k, key in enumerate(keys)}
-    time_unix = np.unique(np.concatenate([one.time_unix for *_, one in modes]))
-    ln_c = np.full((len(keys), time_unix.size, len(MODES)), np.nan, dtype=np.float32)
-    for name, letter, one in modes:
-        rows = np.array([row[name, antenna, letter] for antenna in one.antennas.tolist()], dtype=np.int64)
-        ln_c[np.ix_(rows, np.searchsorted(time_unix, one.time_unix))] = one.ln_c
-    dates = [changes.get((station, antenna), ()) for station, antenna, _ in keys]
-    known = np.full((len(keys), max(map(len, dates), default=0)), np.inf)
-    for k, of_path in enumerate(dates):
-        known[k, : len(of_path)] = of_path
-    first, last = _find_spans(ln_c, time_unix)
-    known[(known <= first[:, None]) | (known > last[:, None])] = np.inf
-    station, antenna, dipole = (np.array(column) for column in zip(*keys, strict=True))
-    return History(station, antenna.astype(np.int64), dipole, time_unix, ln_c, known)
-
-
-def _find_spans(ln_c: Floats | NDArray[np.float32], time_unix: Floats) -> tuple[Floats, Floats]:
-    """The first and the last event of each path, s UTC; infinite where it has none."""
-    is_known = np.isfinite(ln_c[..., 0])
-    first = np.where(is_known, time_unix, np.inf).min(axis=1)
-    return first, np.where(is_known, time_unix, -np.inf).max(axis=1)
+    return History.of(modes, changes)
 
 
 Measured = Mapping[tuple[str | None, int, str | None], tuple[float, float]]
@@ -134,7 +104,7 @@ Measured = Mapping[tuple[str | None, int, str | None], tuple[float, float]]
 
 def _list_measured(history: History) -> Measured:
     paths = zip(history.station.tolist(), history.antenna.tolist(), history.dipole.tolist(), strict=True)
-    first, last = (SECOND_US * ends for ends in _find_spans(history.ln_c, history.time_unix))
+    first, last = (SECOND_US * ends for ends in history.spans)
     spans = list(zip(first.tolist(), last.tolist(), strict=True))
     return {
         (station, antenna, dipole): span

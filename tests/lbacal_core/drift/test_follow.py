@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from lbacal_core.drift.follow import History, _fit_line, follow
-from lbacal_core.drift.report import SILENT_EVENTS, _silent, describe_followed, list_changes
+from lbacal_core.drift.report import SILENT_EVENTS, _drop_noise, _silent, describe_followed, list_changes
 from validation.drift_world import DAY, START, YEAR, World, draw_history
 
 WORLD = World(years=3.0, stations=3, antennas=4, events_per_year=400)
@@ -195,3 +195,20 @@ def test_a_known_change_says_so_and_has_no_error_of_its_date():
     changes = list_changes(told, follow(told))
     assert [(change.is_known, change.date_sigma_s) for change in changes] == [(True, 0.0)]
     assert changes[0].date_unix == pytest.approx(START + 1.1 * YEAR)
+
+
+def test_noise_beside_a_step_was_told_as_a_step_and_cut_the_windows_of_a_sound_antenna() -> None:
+    """Among three antennas a step of 51 sigma made another one step by 0.17 ± 0.14 %."""
+    members = [{"antenna": a, "dipole": "Y", "significance": sigma} for a, sigma in ((1, 51.4), (2, 2.5), (0, 4.1))]
+    for is_known, kept in ((False, [1, 0]), (True, [1, 2, 0])):
+        report = {"threshold_sigma": 3.9, "changes": [{"is_known": is_known, "members": list(members)}]}
+        assert [one["antenna"] for one in _drop_noise(report)["changes"][0]["members"]] == kept
+
+
+def test_an_alarm_named_a_path_twice_that_stepped_twice_within_the_error_of_the_date():
+    """It read "3 together (antenna 6 X, antenna 6 Y, antenna 6 Y)"."""
+    members = [
+        {"antenna": 6, "dipole": dipole, "significance": found} for dipole, found in zip("XYY", (10, 8, 6), strict=True)
+    ]
+    report = {"threshold_sigma": 5.0, "changes": [{"is_known": False, "members": members}]}
+    assert _drop_noise(report)["changes"][0]["members"] == members[:2]

@@ -15,15 +15,7 @@ from service.factory import Factory
 from service.storage.changes import STEP, Change, Cut, Decision, Evidence, KeptChange
 from service.storage.models import Announced, ModelChange
 from service.storage.versions import Version
-from service.usecases.gate import (
-    Gate,
-    drop_noise,
-    find_announced,
-    find_predecessors,
-    name_members,
-    tell_change,
-    tell_shapes,
-)
+from service.usecases.gate import Gate, find_announced, find_predecessors, name_members, tell_change, tell_shapes
 from tests.service.conftest import instant, new_version
 
 GATE = Gate(change=0.1, error=0.05, coverage=0.4, band=0.7)
@@ -312,20 +304,3 @@ def test_who_changed_is_named_up_to_a_number() -> None:
     members = [{"antenna": 3, "dipole": "X"}, {"antenna": None, "dipole": "Y"}, {"antenna": 4, "dipole": "X"}]
     assert name_members(members, 3) == "antenna 3 X, all Y, antenna 4 X"
     assert name_members(members, 1) == "antenna 3 X and 2 more"
-
-
-def test_noise_beside_a_step_was_told_as_a_step_and_cut_the_windows_of_a_sound_antenna() -> None:
-    """Among three antennas a step of 51 sigma made another one step by 0.17 ± 0.14 %."""
-    members = [{"antenna": a, "dipole": "Y", "significance": sigma} for a, sigma in ((1, 51.4), (2, 2.5), (0, 4.1))]
-    for is_known, kept in ((False, [1, 0]), (True, [1, 2, 0])):
-        report = {"threshold_sigma": 3.9, "changes": [{"is_known": is_known, "members": list(members)}]}
-        assert [one["antenna"] for one in drop_noise(report)["changes"][0]["members"]] == kept
-
-
-def test_an_alarm_named_a_path_twice_that_stepped_twice_within_the_error_of_the_date():
-    """It read "3 together (antenna 6 X, antenna 6 Y, antenna 6 Y)"."""
-    members = [
-        {"antenna": 6, "dipole": dipole, "significance": found} for dipole, found in zip("XYY", (10, 8, 6), strict=True)
-    ]
-    report = {"threshold_sigma": 5.0, "changes": [{"is_known": False, "members": members}]}
-    assert drop_noise(report)["changes"][0]["members"] == members[:2]
