@@ -9,6 +9,8 @@ from typing import Any
 import pytest
 from matplotlib.figure import Figure
 
+from lbacal_core.curves.curves import OK
+
 TUTORIALS = sorted(path for path in (Path(__file__).parent.parent / "docs/tutorials").glob("*.md"))
 CODE = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
@@ -27,7 +29,10 @@ def test_a_tutorial_runs_and_ends_in_a_figure(page: Path, tmp_path: Path, monkey
     names: dict[str, Any] = {}
     exec(compile(code, str(page), "exec"), names)  # noqa: S102 - the page is ours
     assert isinstance(names["figure"], Figure)
-    assert {curve.status for curve in names["found"].report.curves} == {"converged"}
+    curves = names["found"].report.curves
+    assert {curve.status for curve in curves} == {"converged"}
+    assert ("by 1 m²" in repr(names["found"])) == ("lofar" not in page.name), "C without an antenna gain is relative"
+    assert {flag for curve in curves for flag in curve.flags} == {OK}
 
 
 def test_the_list_of_tutorials_names_each() -> None:

@@ -47,7 +47,8 @@ def tabulate_curves(curves: Sequence[CalibrationCurve]) -> list[list[str]]:
     for curve in curves:
         together = " ".join(part for part in (curve.station, curve.dipole) if part)
         groups.setdefault(curve.name if len(curves) <= MOST_ROWS else together, []).append(curve)
-    header = [*HEADER, *(f"C({frequency[k]:g} MHz), µV ±stat.% ±syst.%" for k in at)]
+    unit = "µV by 1 m²" if all(np.all(curve.antenna_gain == 1.0) for curve in curves) else "µV"
+    header = [*HEADER, *(f"C({frequency[k]:g} MHz), {unit} ±stat.% ±syst.%" for k in at)]
     return [header, *(_row(name, group, at) for name, group in groups.items())]
 
 

@@ -368,8 +368,11 @@ class Instrument:
     @property
     def antenna_gain_note(self) -> str:
         """The origin of the antenna gain, in words."""
-        unchecked = "unchecked: the instrument does not say what its antenna_gain is"
-        return unchecked if self.gain_provenance is None else str(self.gain_provenance)
+        if self.gain_provenance is not None:
+            return str(self.gain_provenance)
+        if np.all(self.antenna_gain == 1.0):
+            return "relative: antenna_gain is 1 in every channel, so that C is not that of the antenna but of 1 m^2"
+        return "unchecked: the instrument does not say what its antenna_gain is"
 
 
 def find_instrument(name_or_file: str) -> Path:

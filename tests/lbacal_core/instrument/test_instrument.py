@@ -289,6 +289,13 @@ def test_an_instrument_says_what_its_antenna_gain_is():
     assert instrument.digest() == parse_instrument(make_content(), "i.json").digest(), "words do not change it"
 
 
+def test_an_antenna_gain_of_1_in_every_channel_makes_c_relative():
+    plain = make_content()
+    assert parse_instrument(plain, "i.json").antenna_gain_note.startswith("unchecked")
+    without = plain | {"antenna_gain": [1.0] * len(plain["frequency_mhz"])}
+    assert parse_instrument(without, "i.json").antenna_gain_note.startswith("relative: antenna_gain is 1")
+
+
 def test_an_error_of_one_number_holds_in_every_channel():
     content = make_content() | {"antenna_gain_provenance": {"kind": "relative", "source": "x", "shape_error": 0.1}}
     assert parse_instrument(content, "i.json").gain_provenance.shape_error.tolist() == [0.1, 0.1, 0.1]
