@@ -217,14 +217,15 @@ def _make(content: Mapping[str, Any]) -> Prediction:
         low, high = adc["band_mhz"]
         shown = [f"the ADC shows {adc['rms']:.3g} ± {adc['sigma']:.2g} counts r.m.s. by {low:g}-{high:g} MHz"]
     write = partial(write_prediction, content)
+    path, when = f"{content['station']} {content['antenna']} {content['dipole']}", f"at {content['at']}"
+    known = {"one event": event_sigma, "known to": sigma}
     return Prediction(
-        title=f"{content['station']} {content['antenna']} {content['dipole']} at {content['at']}, "
-        f"LST {content['lst_h']:.2f} h",
+        title=f"{path} {when}, LST {content['lst_h']:.2f} h",
         rows=[
             [f"{name}, {one.unit}".rstrip(", "), *(f"{one[k].value:.4g}" for k in at)] for name, one in columns.items()
         ],
         notes=[*shown, f"noise of an event: {content['noise']['source']}", *content["notes"]],
-        charts=lambda: [_draw(nu, power, {"one event": event_sigma, "known to": sigma}, f"{unit:unicode}")],
+        charts=lambda: [_draw(f"expected power of {path} {when}", nu, power, known, f"{unit:unicode}")],
         as_dict=lambda: content,
         as_table=lambda: QTable(columns),
         more={".h5": write, ".hdf5": write},
@@ -259,11 +260,11 @@ def _write_group(group: h5py.Group, content: Mapping[str, Any]) -> None:
             group.attrs[name] = "; ".join(value) if isinstance(value, list) else value
 
 
-def _draw(nu: Floats, power: Floats, bands: Mapping[str, Floats], unit: str) -> Chart:
+def _draw(title: str, nu: Floats, power: Floats, bands: Mapping[str, Floats], unit: str) -> Chart:
     """The expected power with what one event scatters about it, and how well it is known."""
     series = [
         Series(BAND, nu, low=power - sigma, high=power + sigma, name=f"{name}, 68 %", colour=k)
         for k, (name, sigma) in enumerate(bands.items(), start=1)
     ]
     series.append(Series(LINE, nu, power, name="expected"))
-    return Chart("expected power", FREQUENCY, f"power ({unit})", series, ("linear", "log"))
+    return Chart(title, FREQUENCY, f"power ({unit})", series, ("linear", "log"))

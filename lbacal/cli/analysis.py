@@ -291,7 +291,9 @@ def predict(
     antenna: Annotated[int, typer.Option(help="Antenna.", min=0)],
     dipole: Annotated[str, typer.Option(help="Letter of the dipole.")],
     at: Annotated[str, typer.Option(help="When, ISO 8601, UTC.")],
-    output: Annotated[Path, typer.Option(help="Prediction to write: .h5, .json, .ecsv, .fits, .csv, .html, .png.")],
+    output: Annotated[
+        Path | None, typer.Option(help="Prediction to write: .h5, .json, .ecsv, .fits, .csv, .html, .png.")
+    ] = None,
     temperature: Annotated[float | None, typer.Option(help="Outside temperature, deg C.")] = None,
     realisations: Annotated[int, typer.Option(help="How many noisy events to draw (.h5).", min=0)] = 0,
     seed: Annotated[int, typer.Option(help="Seed of the events.")] = 1,
@@ -311,18 +313,20 @@ def predict(
     from lbacal.analysis.predict import write_prediction
 
     require_outputs({"--output": output}, {"--simulation": simulation, "--with": with_ and report_path(with_)})
-    if realisations and output.suffix.lower() not in (".h5", ".hdf5"):
-        raise BadInputError("--realisations", "an --output that ends in .h5 or .hdf5", output.suffix or "no ending")
+    ending = "" if output is None else output.suffix.lower()
+    if realisations and ending not in (".h5", ".hdf5"):
+        raise BadInputError("--realisations", "an --output that ends in .h5 or .hdf5", ending or "no ending")
     if with_ and simulation is None:
         raise BadInputError("--with", "--simulation beside it: what is in effect has its causes", "none")
     where: dict[str, Any] = {"station": station, "antenna": antenna, "dipole": dipole}
     found = predict_path(simulation, at=at, **where, temperature=temperature, with_=with_)
-    if realisations:
+    if output is not None and realisations:
         with written_beside(output) as beside:
             write_prediction(found.content, beside, found.draw_events(realisations, seed))
-    else:
+    elif output is not None:
         found.save(output)
-    show_result(found, [found.title, *found.lines, f"wrote {output}"], as_json=as_json)
+    written = [] if output is None else [f"wrote {output}"]
+    show_result(found, [found.title, *found.lines, *written], as_json=as_json)
 
 
 def lst_curve(

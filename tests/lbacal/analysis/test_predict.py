@@ -34,7 +34,8 @@ def test_a_fit_predicts_its_paths(tmp_path: Path) -> None:
     assert told.table["sky_temperature"].unit == u.K
     sensitivity = 2 * k_B / told.table["sefd"]  # of one polarisation: half of an unpolarised flux
     np.testing.assert_allclose(told.table["a_eff_t_sys"].to_value(u.m**2 / u.K), sensitivity.si.value)
-    assert isinstance(told.plot(Figure().subplots()), Figure)
+    drawn = told.plot(Figure().subplots())
+    assert drawn.axes[0].get_title() == f"expected power of CS002 1 X at {AT}"
     with pytest.raises(UnknownNameError, match="unknown curve 'CS002 antenna 7 X'"):
         lbacal.predict(found, at=AT, station="CS002", antenna=7, dipole="X")
 
@@ -91,8 +92,11 @@ def test_the_command_writes_events_of_an_instrument_alone(command: Lbacal, tmp_p
         assert root["realisations"].shape == (10, 51)
         assert root["contributions/sky/kelvin"].shape == (51,)
         assert root.attrs["power_unit"] == "W/MHz"
+    code, printed, _ = command("predict", *alone)
+    assert (code, printed) == (0, said.replace("\nwrote P.h5", "")), "without a file the table is printed alone"
     for wrong, sentence in (
         ((*alone, "--realisations", 10, "--output", "P.json"), "--realisations: expected an --output"),
+        ((*alone, "--realisations", 10), "--realisations: expected an --output"),
         ((*path, "--with", "R.json", "--output", "P.h5"), "--with: expected --simulation beside it"),
         ((*alone, "--dipole", "Q", "--output", "P.h5"), "dipole"),
         ((*alone, "--at", "2014", "--output", "P.h5"), "ISO 8601"),
