@@ -225,7 +225,7 @@ def _make(content: Mapping[str, Any]) -> Prediction:
             [f"{name}, {one.unit}".rstrip(", "), *(f"{one[k].value:.4g}" for k in at)] for name, one in columns.items()
         ],
         notes=[*shown, f"noise of an event: {content['noise']['source']}", *content["notes"]],
-        charts=lambda: [_draw(f"expected power of {path} {when}", nu, power, known, f"{unit:unicode}")],
+        charts=lambda: [_draw(f"{path} {when}", nu, power, known, f"{unit:unicode}")],
         as_dict=lambda: content,
         as_table=lambda: QTable(columns),
         more={".h5": write, ".hdf5": write},
@@ -267,4 +267,4 @@ def _draw(title: str, nu: Floats, power: Floats, bands: Mapping[str, Floats], un
         for k, (name, sigma) in enumerate(bands.items(), start=1)
     ]
     series.append(Series(LINE, nu, power, name="expected"))
-    return Chart(title, FREQUENCY, f"power ({unit})", series, ("linear", "log"))
+    return Chart(title, FREQUENCY, f"expected power ({unit})", series, ("linear", "log"))

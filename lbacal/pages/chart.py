@@ -39,6 +39,8 @@ class Series:
         `line`; `band` between `low` and `high`; `points` with errors from `low` to `high`; `bars` from 0 to x in the
         rows y; `span`: from x[0] to x[1] over the whole height; `mark`: a vertical line at each x; `image`, over the
         extents x and y, coloured symmetrically about 0 up to `limit`, NaN in grey.
+    style
+        Dashes of a line, by its number in `STYLES`; a band of style 1 is darker.
     titles, links
         What a page shows under the pointer at each value, and where a click leads; of an image, of each of its rows.
     """
@@ -166,7 +168,8 @@ def _draw_series(axes: Any, one: Series, *, is_time: bool) -> None:
     x = _positions(one.x, is_time=is_time)
     look: dict[str, Any] = {"color": COLOURS[one.colour], "label": one.name or None}
     if one.kind == BAND:
-        axes.fill_between(x, np.array(one.low, dtype=float), np.array(one.high, dtype=float), alpha=0.25, lw=0, **look)
+        low, high = np.array(one.low, dtype=float), np.array(one.high, dtype=float)
+        axes.fill_between(x, low, high, alpha=0.25 * (1 + one.style), lw=0, **look)
     elif one.kind == LINE:
         axes.plot(x, np.array(one.y, dtype=float), STYLES[one.style], lw=1.4, **look)
     elif one.kind == POINTS:

@@ -32,7 +32,8 @@ def draw_comparison(comparison: Comparison, simulation: Simulation) -> Iterator[
         power = simulate_band_power(simulation.sky_power, dipole, SMOOTH_HOURS, weights)
         top = [_points(curve.lst_hours, curve.variation_db[dipole], curve.error_db, f"measured, {dipole}", dipole)]
         below = []
-        for has_noise, style in ((False, 1), (True, 0)):
+        noisy = comparison.of(dipole, has_noise=True)
+        for has_noise, style in ((False, 1), (True, 0))[noisy.noise_share == 0.0 :]:  # without noise both are one
             fit = comparison.of(dipole, has_noise=has_noise)
             words = f"sky and {PERCENT * fit.noise_share:.0f} % noise" if has_noise else "sky alone"
             level = in_db(power, fit.noise_share) + fit.offset_db

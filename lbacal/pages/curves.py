@@ -20,7 +20,7 @@ C_LABEL = "C (µV per ADC unit)"
 SMALLEST_LIMIT = 0.5
 """Per cent: the colours of a residual map go no further down, else noise alone would fill them."""
 
-TOTAL, STATISTICAL = "total error", "statistical (dark)"
+TOTAL, STATISTICAL = "total error", "statistical"
 """Names of the bands of an error, said once in a chart."""
 
 
@@ -44,7 +44,7 @@ def above_zero(series: Sequence[Series]) -> tuple[float, float]:
 def _draw_curve(curve: CalibrationCurve, name: str, colour: int, is_first: bool) -> Iterator[Series]:
     mhz, c, stat, total = curve.frequency_mhz, *(MICRO * one for one in values_of(curve))
     yield Series(BAND, mhz, low=c - total, high=c + total, name=TOTAL * is_first, colour=colour)
-    yield Series(BAND, mhz, low=c - stat, high=c + stat, name=STATISTICAL * is_first, colour=colour)
+    yield Series(BAND, mhz, low=c - stat, high=c + stat, name=STATISTICAL * is_first, colour=colour, style=1)
     errors = (
         f"± {s:.1f} % statistical, ± {t:.1f} % in all"
         for s, t in zip(*(PERCENT * np.array([stat, total]) / c), strict=True)

@@ -7,7 +7,7 @@ from itertools import zip_longest
 
 import numpy as np
 
-from lbacal.pages.chart import BAND, BLUE, INK, LINE, MARK, OF_DIPOLE, POINTS, RED, SKY, Chart, Series
+from lbacal.pages.chart import BAND, BLUE, LINE, MARK, OF_DIPOLE, POINTS, RED, SKY, Chart, Series
 from lbacal.pages.curves import (
     C_LABEL,
     FREQUENCY,
@@ -28,7 +28,6 @@ from lbacal_core.calibration.one_event import ErrorOfC, map_departures
 from lbacal_core.curves.covariance import Budget
 from lbacal_core.curves.curves import MISFIT, OK, CalibrationCurve, FitReport
 from lbacal_core.grids import WITHIN_1_SIGMA, Floats
-from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.simulation.simulation import Simulation, noise_at_input
 from lbacal_core.spectra.blocks import iterate_blocks
 from lbacal_core.spectra.spectra import Spectra
@@ -207,7 +206,7 @@ def draw_fit(report: FitReport, maps: Mapping[str, Floats], simulation: Simulati
             charts.append(draw_residuals(title, simulation.instrument.frequency_mhz, maps[dipole], limit))
         if own:
             sky = simulation.sky_power.power[dipole].mean(axis=0)
-            charts += [_draw_noise(own, simulation.instrument, sky, dipole), _draw_chi2(own, dipole)]
+            charts += [_draw_noise(own, simulation, sky, dipole), _draw_chi2(own, dipole)]
         found.append(charts)
     return [chart for of_kind in zip_longest(*found) for chart in of_kind if chart is not None]
 
@@ -221,13 +220,13 @@ def draw_c(curves: Sequence[CalibrationCurve], title: str = "C") -> Chart:
     if all(len(own) == 1 for own in of_dipole.values()):
         return draw_curves(title, fitted)
     series: list[Series] = []
-    for dipole, own in of_dipole.items():
-        mhz, colour, c = own[0].frequency_mhz, OF_DIPOLE.get(dipole, INK), np.array([one.c for one in own], dtype=float)
+    for at, (dipole, own) in enumerate(of_dipole.items(), start=1):
+        mhz, colour, c = own[0].frequency_mhz, OF_DIPOLE.get(dipole, at), np.array([one.c for one in own], dtype=float)
         middle = np.nanmedian(c, axis=0)
         stat, sys = (_median_error(own, name) for name in ("c_sigma_stat", "c_sigma_sys"))
-        for error, label in ((np.hypot(stat, np.nan_to_num(sys)), TOTAL), (stat, STATISTICAL)):
+        for style, (error, label) in enumerate(((np.hypot(stat, np.nan_to_num(sys)), TOTAL), (stat, STATISTICAL))):
             low, high = (MICRO * middle * (1.0 + sign * error) for sign in (-1, 1))
-            series.append(Series(BAND, mhz, low=low, high=high, name=f"{dipole}: {label}", colour=colour))
+            series.append(Series(BAND, mhz, low=low, high=high, name=f"{dipole}: {label}", colour=colour, style=style))
         low, high = MICRO * np.nanpercentile(c, WITHIN_1_SIGMA, axis=0)
         series += [Series(LINE, mhz, low, name="68 % of the curves", style=1), Series(LINE, mhz, high, style=1)]
         series.append(Series(LINE, mhz, MICRO * middle, name=f"{dipole}: median of {len(own)} curves", colour=colour))
@@ -241,13 +240,14 @@ def _median_error(curves: Sequence[CalibrationCurve], name: str) -> Floats:
     return np.asarray(np.nanmedian(found, axis=0)) if found else np.full(curves[0].frequency_mhz.shape, np.nan)
 
 
-def _draw_noise(curves: Sequence[CalibrationCurve], instrument: Instrument, sky: Floats, dipole: str) -> Chart:
+def _draw_noise(curves: Sequence[CalibrationCurve], simulation: Simulation, sky: Floats, dipole: str) -> Chart:
     """Sky and noise terms at the start of the chain, medians of the curves."""
-    found = [noise_at_input(curve, instrument) for curve in curves]
+    found = [noise_at_input(curve, simulation.instrument) for curve in curves]
     terms = {"sky, mean over LST": sky}
     terms |= {f"N_{name.upper()}": np.nanmedian([one[name] for one in found], axis=0) for name in found[0]}
     title = f"power at the start of the chain, polarisation {dipole}"
-    return draw_noise(instrument.frequency_mhz, terms, title, "unit of P_sky")
+    unit = "W m⁻² MHz⁻¹" if simulation.given is None else "unit of the sky power file"
+    return draw_noise(simulation.instrument.frequency_mhz, terms, title, unit)
 
 
 def _draw_chi2(curves: Sequence[CalibrationCurve], dipole: str) -> Chart:

@@ -173,6 +173,7 @@ def test_a_result_shows_itself_in_a_shell_and_in_a_notebook(found):
 def test_a_figure_is_drawn_whole_or_on_axes_that_are_given(found):
     figure = found.plot()
     assert [axes.get_title() for axes in figure.axes[:3]] == [f"C, polarisation {d}" for d in ("E", "N", "UP")]
+    assert "power (W m⁻² MHz⁻¹)" in [axes.get_ylabel() for axes in figure.axes]
     axes = Figure().subplots()
     assert found.plot(axes) is axes.figure
     assert found["S1", 1, "UP"].plot(axes) is axes.figure

@@ -35,7 +35,7 @@ def test_a_fit_predicts_its_paths(tmp_path: Path) -> None:
     sensitivity = 2 * k_B / told.table["sefd"]  # of one polarisation: half of an unpolarised flux
     np.testing.assert_allclose(told.table["a_eff_t_sys"].to_value(u.m**2 / u.K), sensitivity.si.value)
     drawn = told.plot(Figure().subplots())
-    assert drawn.axes[0].get_title() == f"expected power of CS002 1 X at {AT}"
+    assert drawn.axes[0].get_title() == f"CS002 1 X at {AT}"
     with pytest.raises(UnknownNameError, match="unknown curve 'CS002 antenna 7 X'"):
         lbacal.predict(found, at=AT, station="CS002", antenna=7, dipole="X")
 

@@ -40,6 +40,14 @@ def test_matplotlib_draws_the_same_numbers():
     assert axes.get_ylim() == (0.0, 5.0)
 
 
+def test_a_band_on_a_band_is_darker_in_the_legend_too():
+    axes = Figure().subplots()
+    x, ends = [1.0, 2.0], {"low": [0.0, 0.0], "high": [1.0, 1.0]}
+    Chart("t", "x", "y", [Series(BAND, x, **ends, name="a"), Series(BAND, x, **ends, name="b", style=1)]).draw(axes)
+    light, dark = axes.get_legend().get_patches()
+    assert light.get_facecolor()[3] < dark.get_facecolor()[3]
+
+
 def test_the_legend_hides_nothing():
     """That of an error budget lay on its terms and on their total, that of a chain on its curves."""
     figure = Figure(figsize=(5, 3), layout="constrained")
