@@ -100,6 +100,19 @@ def require_name(place: str, name: Any, known: Collection[str]) -> None:
         raise BadInputError(place, f"one of {', '.join(known)}", offer_name(name, known))
 
 
+ALIKE = 0.8
+"""Likeness (difflib) from which an unknown field is a misspelt one: `cabels` has 0.83 to `cables`, and `antenna_type`,
+somebody else's, 0.70 to `antennas`."""
+
+
+def refuse_misspelt(place: str, given: Collection[str], known: Collection[str]) -> None:
+    """Refuse a field whose name is nearly one that is not given; others are somebody else's and left alone."""
+    absent = [name for name in known if name not in given]
+    for field in sorted({*given} - {*known}):
+        for meant in get_close_matches(field.lower(), absent, 1, ALIKE):
+            raise BadInputError(f"{place}: {meant}", f"the field {meant!r} or none", repr(field))
+
+
 def require_parts(place: str, kind: str, wanted: Sequence[str], given: Container[str]) -> None:
     """Refuse what lacks some parts of a kind, such as ``columns``, and name them."""
     missing = [name for name in wanted if name not in given]

@@ -5,16 +5,15 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from datetime import UTC, datetime
-from difflib import get_close_matches
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.errors import BadInputError
+from lbacal_core.errors import BadInputError, refuse_misspelt
 from lbacal_core.foreign import parse_instant, parse_name, parse_number, parse_numbers, parse_optional_name
 from lbacal_core.grids import Floats
 from lbacal_core.provenance import as_json
@@ -134,10 +133,7 @@ def parse_record(record: Any, place: str) -> AntennaRecord:
     """Make a record from a row of an instrument file."""
     if not isinstance(record, dict) or not {"station", "antenna", "cable"} <= set(record):
         raise BadInputError(place, "station, antenna and cable", repr(record))
-    for field in set(record) - {"station", "antenna", "cable", "since", "until", "group"}:
-        # Other fields are somebody else's, but a misspelt `since` would give the antenna a cable at the wrong time.
-        for meant in get_close_matches(field.lower(), ("since", "until", "group")):
-            raise BadInputError(f"{place}: {meant}", f"the field {meant!r} or none", f"{field!r}")
+    refuse_misspelt(place, record, [field.name for field in fields(AntennaRecord)])
     antenna = record["antenna"]
     if isinstance(antenna, bool) or not isinstance(antenna, int) or antenna < 0:
         raise BadInputError(f"{place}: antenna", "a whole number >= 0", repr(antenna))
@@ -216,6 +212,7 @@ def parse_gain_provenance(content: Any, channels: int, place: str) -> GainProven
         return None
     if not isinstance(content, dict):
         raise BadInputError(place, "an object with kind and source", type(content).__name__)
+    refuse_misspelt(place, content, [field.name for field in fields(GainProvenance)])
     kind = content.get("kind")
     if kind not in (ABSOLUTE, RELATIVE):
         raise BadInputError(f"{place}: kind", f"{ABSOLUTE} or {RELATIVE}", repr(kind))

@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
+from itertools import product
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -13,7 +14,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lbacal_core.errors import BadInputError, UnknownNameError, offer_name, require_kind, require_name, require_parts
+from lbacal_core.errors import (
+    BadInputError,
+    UnknownNameError,
+    offer_name,
+    refuse_misspelt,
+    require_kind,
+    require_name,
+    require_parts,
+)
 from lbacal_core.foreign import parse_name, parse_number, parse_numbers, parse_optional_name, read_json, write_instant
 from lbacal_core.grids import HIGHEST_GALAXY_MHZ, Floats, find_channels, require_channels
 from lbacal_core.instrument.antennas import (
@@ -217,6 +226,11 @@ class Instrument:
         place = f"instrument {self.name}: stages"
         if not np.allclose(self.receiver_gain, gain_behind(self.stages, self.frequency_mhz.size), rtol=1e-9, atol=0.0):
             raise BadInputError(place, "receiver_gain as the product of the gains behind the cable", "another")
+        gains = {stage.name: stage.gain for stage in self.stages if stage.kind == "cable" and stage.gain is not None}
+        for (stage, gain), (name, loss) in product(gains.items(), self.cables.items()):
+            if not np.allclose(loss, gain, rtol=1e-9, atol=0.0):
+                expected = f"the cable {name!r} as the gain of the stage {stage!r}, or that stage without one"
+                raise BadInputError(place, expected, "another")
         known = [stage.name for stage in self.stages if stage.noise_k is not None and stage.kind in IN_LINE]
         if known:
             self._require_square_metres(f"{place}: noise_temperature_k", f"a temperature of {known[0]}")
@@ -407,8 +421,18 @@ def _is_there(path: Path) -> bool:
         return False
 
 
+NEEDED = (
+    "name", "latitude_deg", "longitude_deg", "height_m", "frequency_mhz", "dipoles", "antenna_gain", "receiver_gain",
+    "cables", "antennas",
+)  # fmt: skip
+FIELDS = (
+    *NEEDED, "antenna", "sky", "antenna_doubt", "antenna_gain_provenance", "stages", "calibrated_in_kelvin", "sites",
+    "alternatives",
+)  # fmt: skip
+
+
 def parse_instrument(content: Any, place: str, folder: Path | None = None) -> Instrument:
-    """Make an instrument from the content of its file; fields it does not know are left alone.
+    """Make an instrument from the content of its file; fields unlike its own are left alone.
 
     Parameters
     ----------
@@ -417,6 +441,7 @@ def parse_instrument(content: Any, place: str, folder: Path | None = None) -> In
     """
     if not isinstance(content, dict):
         raise BadInputError(place, "a JSON object", type(content).__name__)
+    refuse_misspelt(place, content, FIELDS)
     alternatives = _parse_alternatives(content, place, folder)
     stages: tuple[Stage, ...] = ()
     if "stages" in content:
@@ -425,15 +450,15 @@ def parse_instrument(content: Any, place: str, folder: Path | None = None) -> In
         content = fill_fields(content, stages, frequency_mhz.size)
     if stages and "antenna_gain" not in content:
         raise BadInputError(f"{place}: antenna_gain", "the field, or a stage of kind antenna with a gain", "neither")
-    fields = ["name", "latitude_deg", "longitude_deg", "height_m", "frequency_mhz", "dipoles"]
-    fields += ["antenna_gain", "receiver_gain", "cables", "antennas"]
-    require_parts(place, "fields", fields, content)
+    require_parts(place, "fields", NEEDED, content)
     dipoles, cables, antennas = content["dipoles"], content["cables"], content["antennas"]
     require_kind(f"{place}: dipoles", dipoles, dict, "an object of azimuth_deg by letter")
     require_kind(f"{place}: cables", cables, dict, "an object of losses by name")
     require_kind(f"{place}: antennas", antennas, list, "a list")
     if not antennas:
         raise BadInputError(f"{place}: antennas", "one or more", "none")
+    for name, arm in dipoles.items():
+        refuse_misspelt(f"{place}: dipoles.{name}", arm if isinstance(arm, dict) else (), ("azimuth_deg", "tilt_deg"))
     arrays = ("frequency_mhz", "antenna_gain", "receiver_gain")
     given: dict[str, Any] = {name: parse_number(content[name], f"{place}: {name}") for name in RANGES}
     given |= {name: parse_numbers(content[name], f"{place}: {name}") for name in arrays}

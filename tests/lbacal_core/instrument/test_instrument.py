@@ -102,6 +102,15 @@ WRONG_CONTENT: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
         lambda c: c["antennas"][1].__setitem__("sinse", c["antennas"][1].pop("since")),
         "antennas, row 1: since: expected the field 'since' or none, found 'sinse'",
     ),
+    "misspelt antenna": (put("antena", "hamaker"), "antenna: expected the field 'antenna' or none, found 'antena'"),
+    "misspelt tilt": (
+        put("dipoles", "X", {"azimuth_deg": 45, "tild_deg": 10}),
+        "dipoles.X: tilt_deg: expected the field 'tilt_deg' or none, found 'tild_deg'",
+    ),
+    "misspelt shape error": (
+        put("antenna_gain_provenance", {"kind": "relative", "source": "x", "shape_eror": 0.1}),
+        "antenna_gain_provenance: shape_error: expected the field 'shape_error' or none, found 'shape_eror'",
+    ),
     "the same antenna twice": (
         append({"station": "CS002", "antenna": 1, "cable": "50 m"}),
         "antennas, rows 2 and 3: expected one record at a time for station CS002, antenna 1, found two",

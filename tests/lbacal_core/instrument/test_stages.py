@@ -180,3 +180,15 @@ def test_some_channels_of_it_are_those_of_each_form():
     some = three_constants(GAIN).select(np.array([True, False, True]))
     np.testing.assert_array_equal(some.behind, [[1.0, 0.1], [1.0, 1.0]])
     assert some.known.shape == (2,)
+
+
+def test_cables_beside_a_cable_with_another_gain_are_refused():
+    stages = [LNA, COAX, ADC]
+    content = load_instrument("lofar-superterp").as_dict() | {"frequency_mhz": [30.0, 50.0, 80.0]}
+    content |= {"antenna_gain": [1.0] * 3, "receiver_gain": [1.0] * 3, "cables": {"coax": [0.5] * 3}}
+    content |= {"antennas": [{"station": "S1", "antenna": 0, "cable": "coax"}]}
+    content |= {"antenna_gain_provenance": None, "stages": [stage.as_dict() for stage in stages]}
+    assert parse_instrument(content, "i.json").cables["coax"][0] == 0.5
+    content["cables"] = {"coax": [0.5] * 3, "long": [0.25] * 3}
+    with pytest.raises(BadInputError, match="the cable 'long' as the gain of the stage 'coax', or that stage without"):
+        parse_instrument(content, "i.json")
