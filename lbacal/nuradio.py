@@ -82,6 +82,11 @@ class EffectiveCalibrator:
         self._path_of = path_of
         self._known = {"as_of": as_of, "tag": tag}
 
+    def __repr__(self) -> str:
+        """One line."""
+        pinned = "".join(f", {name} {value}" for name, value in self._known.items() if value is not None)
+        return f"<EffectiveCalibrator: ADC units to V by the C in effect for the path of each channel{pinned}>"
+
     def begin(self) -> None:
         """Prepare nothing; modules of NuRadioReco have this function."""
 
@@ -149,6 +154,10 @@ class NoiseAdder:
         self._forward, self._predict = forward, predict or forward.predict
         self._client, self._path_of, self._temperature = client, path_of, temperature
         self._rng = np.random.default_rng(seed)
+
+    def __repr__(self) -> str:
+        """One line."""
+        return f"<NoiseAdder: noise of the path of each channel, {'ADC units' if self._client is None else 'V'}>"
 
     def begin(self) -> None:
         """Prepare nothing; modules of NuRadioReco have this function."""

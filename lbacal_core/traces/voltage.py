@@ -15,7 +15,7 @@ from lbacal_core.grids import Floats
 Complexes = NDArray[np.complex128]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class CalibratedTrace:
     """A trace in volts, in the time and in the frequency domain.
 
@@ -45,6 +45,12 @@ class CalibratedTrace:
     channels_mhz: Floats
     errors: Floats
     is_inside: NDArray[np.bool_]
+
+    def __repr__(self) -> str:
+        """One line."""
+        band = self.frequency_mhz[self.is_inside]
+        ends = f"{band[0]:g}-{band[-1]:g} MHz" if band.size else "no channel"
+        return f"<CalibratedTrace: {len(self.samples)} samples in V at {self.sample_rate_mhz:g} MHz, known in {ends}>"
 
     @property
     def factors(self) -> Floats:

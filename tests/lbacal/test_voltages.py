@@ -12,7 +12,7 @@ from astropy.time import Time
 
 import lbacal
 from lbacal.client import make_table
-from lbacal.nuradio import ABSENT, EffectiveCalibrator, path_of_lofar
+from lbacal.nuradio import ABSENT, EffectiveCalibrator, NoiseAdder, path_of_lofar
 from lbacal.voltages import curve_of
 from lbacal_core.errors import BadInputError
 
@@ -32,6 +32,7 @@ def test_a_trace_is_calibrated_with_what_effective_answers() -> None:
     time = np.arange(2000) / 200.0
     found = lbacal.calibrate_trace(np.cos(2 * np.pi * 31.0 * time), 200.0, make_table(answer()))
     assert found.samples == pytest.approx(2e-5 * np.cos(2 * np.pi * 31.0 * time), abs=1e-12)
+    assert repr(found) == "<CalibratedTrace: 2000 samples in V at 200 MHz, known in 30-32 MHz>"
     inside = found.is_inside
     assert found.c_sigma[inside] == pytest.approx(0.01 * found.c[inside])
 
@@ -169,6 +170,10 @@ def test_every_channel_of_an_event_gets_the_c_of_its_own_path(calibrations: dict
     channels = [Channel(2000000 + receiver, pulse) for receiver in (8, 9, 34, 35, 90)]
     client: Any = Answers(calibrations)
     module = EffectiveCalibrator(client, tag="paper")
+    of_each = "ADC units to V by the C in effect for the path of each channel"
+    assert repr(module) == f"<EffectiveCalibrator: {of_each}, tag paper>"
+    adder = NoiseAdder(print), NoiseAdder(print, client)
+    assert [repr(one)[-10:] for one in adder] == ["ADC units>", "hannel, V>"]
     module.begin()
     said = module.run(SimpleNamespace(get_stations=lambda: [station(*channels)]), Detector())
     module.end()
