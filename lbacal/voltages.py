@@ -10,7 +10,7 @@ from lbacal_core.curves.covariance import Budget, parse_budget, parse_covariance
 from lbacal_core.curves.curves import CONVERGED, CalibrationCurve
 from lbacal_core.curves.galcal import name_path
 from lbacal_core.errors import BadInputError
-from lbacal_core.grids import Floats
+from lbacal_core.grids import Floats, require_channels
 
 if TYPE_CHECKING:
     from astropy.table import QTable
@@ -108,8 +108,8 @@ def carry_to_antenna(table: QTable, frequency_mhz: Any, antenna_gain: Any) -> QT
     table
         From `lbacal.effective`, or the calibration table of `lbacal fit`.
     frequency_mhz, antenna_gain
-        Channels and |H_zenith|^2 = |J_theta|^2 + |J_phi|^2 of the antenna table at zenith, m^2, shape (freq,); every
-        channel of `table` must be among them.
+        Channels and |H_zenith|^2 = |J_theta|^2 + |J_phi|^2 of the antenna table at zenith, shape (freq,), MHz and
+        m^2 or Quantities; every channel of `table` must be among them.
 
     Returns
     -------
@@ -121,9 +121,17 @@ def carry_to_antenna(table: QTable, frequency_mhz: Any, antenna_gain: Any) -> QT
         Where the table does not say with which G_ant it was made, or a channel is missing: such a C is not to be used
         with another antenna.
     """
-    channels, gains = np.asarray(frequency_mhz, dtype=float), np.asarray(antenna_gain, dtype=float)
-    if channels.ndim != 1 or gains.shape != channels.shape or not (np.all(np.isfinite(gains)) and np.all(gains > 0)):
-        raise BadInputError("antenna_gain", "a finite number > 0 for each frequency", f"shape {gains.shape}")
+    from astropy import units as u
+
+    from lbacal.units import convert_numbers
+
+    channels, gains = convert_numbers(frequency_mhz, u.MHz), convert_numbers(antenna_gain, u.m**2)
+    require_channels("carry_to_antenna", np.sort(channels))
+    if gains.shape != channels.shape:
+        raise BadInputError("antenna_gain", f"a number for each of {channels.size} frequencies", f"{gains.size}")
+    wrong = ~(np.isfinite(gains) & (gains > 0))
+    if np.any(wrong):
+        raise BadInputError("antenna_gain", "finite m^2 > 0", f"{gains[wrong][0]:g} at {channels[wrong][0]:g} MHz")
     own = _values(table, "antenna_gain")
     if own is None or not np.all(np.isfinite(own)):
         found = "versions made before it was kept: refit them" if own is not None else "no such column"

@@ -360,11 +360,19 @@ def test_c_carried_to_another_antenna_gives_the_same_field() -> None:
 
 def test_c_carried_to_its_own_antenna_is_what_it_was() -> None:
     np.testing.assert_array_equal(lbacal.carry_to_antenna(make_table(), NU, GAIN)["c"], make_table()["c"])
+    with_units = lbacal.carry_to_antenna(make_table(), NU / 1e3 * u.GHz, GAIN * 1e4 * u.cm**2)
+    np.testing.assert_allclose(with_units["c"].value, make_table()["c"].value)
 
 
 @pytest.mark.parametrize(
     ("nu", "gain", "said"),
-    [(NU[:2], GAIN[:2], "none at 80 MHz"), (NU, GAIN[:2], "a finite number > 0"), (NU, -GAIN, "a finite number > 0")],
+    [
+        (NU[:2], GAIN[:2], "none at 80 MHz"),
+        (NU, GAIN[:2], "a number for each of 3 frequencies, found 2"),
+        (NU, -GAIN, rf"finite m\^2 > 0, found {-GAIN[0]:g} at {NU[0]:g} MHz"),
+        (NU / 1e3, GAIN, "looks like GHz"),
+        (NU, GAIN * u.dB, "one in m2"),
+    ],
 )
 def test_a_gain_that_does_not_cover_the_channels_is_refused(nu: np.ndarray, gain: np.ndarray, said: str) -> None:
     with pytest.raises(BadInputError, match=said):
