@@ -16,6 +16,7 @@ from lbacal.settings import causes_file
 from lbacal.units import convert_number, convert_numbers
 from lbacal_core.errors import BadInputError, require_kind
 from lbacal_core.foreign import parse_number
+from lbacal_core.grids import HIGHEST_GALAXY_MHZ, require_channels
 from lbacal_core.instrument.antennas import ABSOLUTE, AntennaRecord, GainProvenance
 from lbacal_core.instrument.antennas import Site as CoreSite
 from lbacal_core.instrument.instrument import Instrument as CoreInstrument
@@ -101,6 +102,7 @@ class Instrument:
         ):
             require_kind(place, value, kind, f"one such as {example}")
         frequency_mhz = convert_numbers(frequency, u.MHz)
+        require_channels(f"instrument {name}", frequency_mhz, HIGHEST_GALAXY_MHZ)  # before stages are read at them
         arms = {str(letter): arm if isinstance(arm, tuple) else (arm, 0.0) for letter, arm in antenna.arms.items()}
         if any(len(arm) != 2 for arm in arms.values()):
             raise BadInputError("antenna: arms", "an azimuth, or (azimuth, tilt)", repr(dict(antenna.arms)))

@@ -446,6 +446,7 @@ def parse_instrument(content: Any, place: str, folder: Path | None = None) -> In
     stages: tuple[Stage, ...] = ()
     if "stages" in content:
         frequency_mhz = parse_numbers(content.get("frequency_mhz"), f"{place}: frequency_mhz")
+        require_channels(place, frequency_mhz, HIGHEST_GALAXY_MHZ)  # before tables of stages are read at them
         stages = parse_stages(content["stages"], frequency_mhz, f"{place}: stages", folder)
         content = fill_fields(content, stages, frequency_mhz.size)
     if stages and "antenna_gain" not in content:

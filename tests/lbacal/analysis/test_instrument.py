@@ -27,6 +27,10 @@ def stages(*these: lbacal.Stage) -> lbacal.Chain:
 DECIBELS = "or decibels such as -20 * u.dB, found"
 MISTAKES: dict[str, tuple[Callable[[], None], str]] = {
     "Hz for MHz": (lambda: make(nu=np.arange(50, 80) * 1e6), "expected MHz, found 7.9e+07, which looks like Hz"),
+    "GHz for MHz, and a table": (
+        lambda: make(nu=np.arange(50, 80) / 1e3, chain=stages(lbacal.Stage("lna", ([40, 90], [2.0, 3.0])))),
+        "expected MHz, found 0.079, which looks like GHz",
+    ),
     "dB for a factor": (lambda: make(chain=stages(lbacal.Stage("lna", -20))), f"above 0, {DECIBELS} -20"),
     "a gain of 0": (lambda: make(chain=lbacal.Chain([0.0])), f"above 0, {DECIBELS} 0"),
     "dB for a cable": (lambda: make(chain=lbacal.Chain(cable=3)), f"above 0 and at most 1, {DECIBELS} 3"),

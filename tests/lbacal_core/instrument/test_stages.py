@@ -182,13 +182,17 @@ def test_some_channels_of_it_are_those_of_each_form():
     assert some.known.shape == (2,)
 
 
-def test_cables_beside_a_cable_with_another_gain_are_refused():
-    stages = [LNA, COAX, ADC]
+def test_channels_in_another_unit_and_cables_beside_a_cable_with_another_gain_are_refused():
+    table = {"frequency_mhz": [30.0, 80.0], "gain_db": [0.0, 0.0]}
     content = load_instrument("lofar-superterp").as_dict() | {"frequency_mhz": [30.0, 50.0, 80.0]}
-    content |= {"antenna_gain": [1.0] * 3, "receiver_gain": [1.0] * 3, "cables": {"coax": [0.5] * 3}}
+    content |= {"antenna_gain": [1.0] * 3, "cables": {"coax": [0.5] * 3}}
+    del content["receiver_gain"]
     content |= {"antennas": [{"station": "S1", "antenna": 0, "cable": "coax"}]}
-    content |= {"antenna_gain_provenance": None, "stages": [stage.as_dict() for stage in stages]}
+    content |= {"antenna_gain_provenance": None, "stages": [one.as_dict() for one in (LNA, COAX, ADC)]}
+    content["stages"].insert(2, {"name": "f", "kind": "filter", "gain": table})
     assert parse_instrument(content, "i.json").cables["coax"][0] == 0.5
+    with pytest.raises(BadInputError, match="which looks like GHz"):
+        parse_instrument(content | {"frequency_mhz": [0.03, 0.05, 0.08]}, "i.json")
     content["cables"] = {"coax": [0.5] * 3, "long": [0.25] * 3}
     with pytest.raises(BadInputError, match="the cable 'long' as the gain of the stage 'coax', or that stage without"):
         parse_instrument(content, "i.json")
