@@ -56,10 +56,14 @@ def require_outputs(
             raise BadInputError(f"{option} {path}", "a file in a folder that exists", f"no folder {path.parent}")
         if path.resolve() in taken:
             raise BadInputError(f"{option} {path}", "a file of its own", f"the file of {taken[path.resolve()]}")
-        if option == "--plot" and path.suffix.lower() not in IMAGES:
-            expected = f"a name that ends in {', '.join(IMAGES)}"
-            raise BadInputError(f"--plot {path}", expected, path.suffix or "no ending")
+        require_ending(option, path, IMAGES if option == "--plot" else (path.suffix.lower(),))
         taken[path.resolve()] = option
+
+
+def require_ending(option: str, path: Path, endings: Sequence[str]) -> None:
+    """Refuse a file to write whose name has none of the endings."""
+    if path.suffix.lower() not in endings:
+        raise BadInputError(f"{option} {path}", f"a name that ends in {', '.join(endings)}", path.suffix or "no ending")
 
 
 def save_each(found: Result, outputs: Mapping[str, Path | None]) -> None:

@@ -10,9 +10,10 @@ from typing import Annotated, Any
 
 import typer
 
-from lbacal.cli.outputs import Dask, progress, require_outputs
+from lbacal.cli.outputs import Dask, progress, require_ending, require_outputs
 from lbacal.engine import Engine, read_address
 from lbacal.files import written_beside
+from lbacal.selection import SUFFIXES
 from lbacal_core.errors import BadInputError, LbacalError, UnreadableFileError
 from lbacal_core.instrument.instrument import load_instrument
 from lbacal_core.spectra.spectra import Spectra, write_spectra
@@ -68,6 +69,8 @@ def spectra(
         raise BadInputError("lbacal spectra", "--output or --inspect", "--url alone" if url else "neither")
     inputs = {"--instrument": instrument, "--events": events, **{str(trace): trace for trace in traces}}
     require_outputs({"--output": output, "--inspect": inspect}, inputs)
+    if output is not None:
+        require_ending("--output", output, SUFFIXES)
     chain = load_instrument(instrument) if instrument else None
     settings = CleaningSettings(blocks=blocks) if chain is None else CleaningSettings(chain.frequency_mhz, blocks)
     facts = read_event_facts(events) if events else EventFacts()
@@ -221,6 +224,7 @@ def import_(
     from lbacal.analysis.data import import_data
 
     require_outputs({"--output": output}, {"SOURCE": source, "--instrument": instrument})
+    require_ending("--output", output, SUFFIXES)
     with progress() as tell:
         spectra = import_data(source, average, instrument, channel_mhz, band, station, events=events, tell=tell)
     spectra.save(output, ".h5")

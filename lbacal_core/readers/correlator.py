@@ -74,7 +74,7 @@ def open_correlator(files: Sequence[Path], name: str, station: str) -> Source:
         antenna=np.repeat(np.arange(count), 2),
         dipole=np.tile(["X", "Y"], count),
         read=lambda: _read(recordings, channels),
-        notes=(f"the station is called {station}", "the unit of the power is the correlator's: C becomes relative"),
+        notes=("the unit of the power is the correlator's: C becomes relative",),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +33,14 @@ def open_source(path: Path, station: str | None = None) -> Source:
     station
         Name of the station where the data have none.
     """
+    opened = _open(path, station)
+    if station is None and DEFAULT_STATION in opened.station:
+        called = f"the data name no station: it is called {DEFAULT_STATION} (--station gives its name)"
+        opened = replace(opened, notes=(called, *opened.notes))
+    return opened
+
+
+def _open(path: Path, station: str | None) -> Source:
     if path.is_dir():
         return _open_folder(path, station or DEFAULT_STATION)
     if not path.is_file():

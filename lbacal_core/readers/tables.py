@@ -171,7 +171,6 @@ def open_folder(files: Sequence[Path], station: str) -> Source:
         antenna=np.array([antenna for antenna, _ in paths], dtype=np.int64),
         dipole=np.array([dipole for _, dipole in paths]),
         read=lambda: _read_folder(in_order),
-        notes=(f"the station is called {station}",),
     )
 
 

@@ -186,7 +186,7 @@ def test_a_folder_of_tables_becomes_a_spectra_file(tmp_path: Path, lbacal: Lbaca
         (folder / f"{hour}.csv").write_text("\n".join(lines))
     output = tmp_path / "S.h5"
     code, said, _ = lbacal("import", folder, "--output", output, "--station", "CS002")
-    assert (code, "6 spectra, 3 intervals of 900 s" in said) == (0, True)
+    assert (code, "6 spectra, 3 intervals of 900 s" in said, "no station" in said) == (0, True, False)
     spectra = read_spectra(output)
     assert len(spectra) == 6
     assert set(spectra.station.tolist()) == {"CS002"}
@@ -230,6 +230,7 @@ def test_integrations_that_have_names_are_averaged_only_on_request(
     code, said, _ = lbacal("import", source, "--output", output, *options)
     assert code == 0
     assert words in said
+    assert "the data name no station: it is called ST001 (--station gives its name)" in said
     spectra = read_spectra(output)
     assert sorted(spectra.event_id.tolist()) == events
     if not options:
@@ -244,6 +245,7 @@ def test_integrations_that_have_names_are_averaged_only_on_request(
         (["--average", "0"], "average: expected a number > 0"),
         (["--channel-mhz", "1", "--instrument", "lofar-superterp"], "instrument or channel"),
         (["--band", "60", "80"], "some between 40 and 41 MHz"),
+        (["--output", "S.txt"], "--output S.txt: expected a name that ends in .h5, .hdf5, found .txt"),
     ],
 )
 def test_options_that_make_no_sense_are_refused_with_2(
