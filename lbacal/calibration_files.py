@@ -93,7 +93,9 @@ def complete_curves(content: Mapping[str, Any], path: Path) -> dict[str, Any]:
             continue
         missing = [name for name in REQUIRED if name not in curve]
         if missing:
-            raise BadInputError(f"{path}: {name_path(curve)}", f"the fields {', '.join(REQUIRED)}", f"no {missing[0]}")
+            raise BadInputError(
+                f"{path}: {name_path(curve)}", f"the fields {', '.join(REQUIRED)}", f"no {', '.join(missing)}"
+            )
         kept.append(_UNSAID | {"factor": [1.0] * len(curve["c"])} | curve)
     return {"at": None, "as_of": None, "budgets": {}, **content, "curves": kept}
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,7 +14,7 @@ from lbacal.cli.outputs import Json, require_outputs, show
 from lbacal.files import written_beside
 from lbacal.tables import mean_curve
 from lbacal_core.curves.galcal import find_problems, name_path
-from lbacal_core.errors import BadInputError, offer_name
+from lbacal_core.errors import BadInputError, LbacalError, offer_name
 from lbacal_core.instrument.instrument import load_instrument
 
 File = Annotated[Path, typer.Argument(help="Calibration file: .ecsv, .fits, .h5 or .json.")]
@@ -37,16 +38,27 @@ def check_table(
     from lbacal.calibration_files import read_calibrations
 
     found: list[dict[str, Any]] = []
+    unread: list[LbacalError] = []
     for path in files:
-        content = read_calibrations(path)
+        try:
+            content = read_calibrations(path)
+        except LbacalError as error:
+            unread.append(error)
+            continue
         problems = find_problems(content)
         told = f"{len(problems)} problems" if problems else _describe(content)
         found.append({"file": str(path), "summary": told, "problems": problems})
-        if not as_json:  # before the next file, which may be unreadable
-            print("\n  ".join([f"{path}: {told}", *problems]))
-    show(found, lambda _: None, as_json=as_json)
+    show(found, lambda _: print("\n".join(map(_list_problems, found))), as_json=as_json)
+    for other in unread[1:]:
+        print(f"lbacal: {other}", file=sys.stderr)
+    if unread:
+        raise unread[0]
     if any(one["problems"] for one in found):
         raise typer.Exit(1)
+
+
+def _list_problems(one: dict[str, Any]) -> str:
+    return "\n  ".join([f"{one['file']}: {one['summary']}", *one["problems"]])
 
 
 def export(

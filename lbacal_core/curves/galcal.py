@@ -12,7 +12,7 @@ import numpy as np
 
 from lbacal_core.curves.covariance import parse_budget, parse_covariance
 from lbacal_core.curves.curves import FLAGS, OUTSIDE
-from lbacal_core.grids import Floats
+from lbacal_core.grids import Floats, name_channels
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import hash_content
 
@@ -124,42 +124,44 @@ def _check_curve(curve: Mapping[str, Any], budgets: Mapping[str, Any]) -> Iterat
     frequency = _numbers(curve["frequency_mhz"])
     if not np.all(np.isfinite(frequency)) or np.any(frequency <= 0) or any(b <= a for a, b in pairwise(frequency)):
         yield "frequency_mhz: expected rising numbers > 0"
-        return
-    for name in PER_CHANNEL:
-        if curve.get(name) and len(curve[name]) != frequency.size:
-            yield f"{name}: expected {frequency.size} channels, found {len(curve[name])}"
-            return
+    short = [name for name in PER_CHANNEL if curve.get(name) and len(curve[name]) != frequency.size]
+    yield from (f"{name}: expected {frequency.size} channels, found {len(curve[name])}" for name in short)
+    if short:
+        return  # what else they say cannot be compared
     unknown = sorted({*curve["flag"]} - {*FLAGS})
     if unknown:
         yield f"flag: expected {', '.join(FLAGS)}, found {', '.join(unknown)}"
     has_value = np.array([flag != OUTSIDE for flag in curve["flag"]])
     c, stat = _numbers(curve["c"]), _numbers(curve["c_sigma_stat"])
+    is_sound = has_value
     for name, values in (("c", c), ("c_sigma_stat", stat)):
-        wrong = frequency[(np.isfinite(values) & (values > 0)) != has_value]
-        if wrong.size:
-            yield f"{name} at {wrong[0]:g} MHz: expected a number > 0 unless the flag is outside, and none if it is"
-            return
+        wrong = (np.isfinite(values) & (values > 0)) != has_value
+        if np.any(wrong):
+            where = name_channels(frequency[wrong])
+            yield f"{name} at {where}: expected a number > 0 unless the flag is outside, and none if it is"
+        is_sound = is_sound & ~wrong
     system = _numbers(curve["c_sigma_sys"]) if curve.get("c_sigma_sys") else None
     if system is not None and not np.all(np.isfinite(system[has_value]) & (system[has_value] > 0)):
         yield "c_sigma_sys: expected a number > 0 in every channel that has a C, or in none"
-        return
+        system = None
     gain, over = curve.get("antenna_gain"), curve.get("c_over_h")
-    if gain and over and not _agree(_numbers(over) * np.sqrt(_numbers(gain)), c, has_value):
+    if gain and over and not _agree(_numbers(over) * np.sqrt(_numbers(gain)), c, is_sound):
         yield "c_over_h: expected c over the root of antenna_gain"
     if curve.get("covariance"):
-        yield from _check_covariance(curve, c, stat, system, budgets)
+        yield from _check_covariance(curve, c, stat, system, budgets, is_sound)
 
 
 def _check_covariance(
-    curve: Mapping[str, Any], c: Floats, stat: Floats, system: Floats | None, budgets: Mapping[str, Any]
+    curve: Mapping[str, Any], c: Floats, stat: Floats, system: Floats | None, budgets: Mapping[str, Any], at: Any
 ) -> Iterator[str]:
-    given, has_value = curve["covariance"], np.isfinite(c)
+    """Check errors against their covariance in the channels `at`, where both are numbers."""
+    given = curve["covariance"]
     rows = [*given["statistical"]["factor"], given["statistical"]["diagonal"], *given["systematic"]["own"]]
     if any(len(row) != c.size for row in rows):
         yield f"covariance: expected {c.size} channels, found {min(map(len, rows))} to {max(map(len, rows))}"
         return
     covariance = parse_covariance(given)
-    if not _agree(c * np.sqrt(np.sum(covariance.factor**2, axis=0) + covariance.diagonal), stat, has_value):
+    if not _agree(c * np.sqrt(np.sum(covariance.factor**2, axis=0) + covariance.diagonal), stat, at):
         yield "covariance: expected c_sigma_stat^2 = c^2 (sum factor^2 + diagonal)"
     if covariance.budget is None or system is None:
         return
@@ -171,7 +173,7 @@ def _check_covariance(
         yield f"budget {covariance.budget[:12]}: no vectors for the dipole {curve['dipole']}"
     elif curve["dipole"] is not None:
         variance = budget.variance(curve["dipole"]) + np.sum(covariance.own**2, axis=0)
-        if not _agree(c * np.sqrt(variance), system, has_value):
+        if not _agree(c * np.sqrt(variance), system, at):
             yield "covariance: expected c_sigma_sys^2 = c^2 (budget + sum own^2)"
 
 

@@ -35,8 +35,9 @@ def test_a_file_that_contradicts_itself_fails_and_one_that_cannot_be_read_is_bad
     code, out, _ = lbacal("check-table", table.name, "bad.json")
     assert code == 1
     assert "bad.json: 1 problems\n  CS002 4 X: covariance: expected c_sigma_stat^2" in out
-    code, _, err = lbacal("check-table", "absent.fits")
+    code, out, err = lbacal("check-table", "absent.fits", "bad.json")
     assert (code, err) == (2, "lbacal: absent.fits: expected a file, found nothing\n")
+    assert "bad.json: 1 problems" in out, "a file that cannot be read does not hide the next"
 
 
 @pytest.mark.parametrize("name", ["c.ecsv", "c.h5", "c.json"])

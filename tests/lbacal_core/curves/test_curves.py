@@ -188,6 +188,16 @@ def test_each_contradiction_is_one_sentence(calibrations, change, said):
     assert any(said in problem for problem in problems), problems
 
 
+def test_every_defect_of_a_curve_is_told_and_none_twice(calibrations):
+    curve = calibrations["curves"][0]
+    curve["c"][3] = curve["c"][4] = None
+    curve["c_sigma_stat"][5] = -1e-9
+    curve["c_sigma_sys"][6] = None
+    curve["c_over_h"][7] *= 2.0
+    told = [problem.removeprefix("CS002 4 X: ").partition(":")[0] for problem in find_problems(calibrations)]
+    assert told == ["c at 33, 34 MHz", "c_sigma_stat at 35 MHz", "c_sigma_sys", "c_over_h"]
+
+
 def test_a_budget_whose_content_was_changed_has_another_hash(calibrations):
     (budget,) = calibrations["budgets"].values()
     budget["terms"][0]["source"] = "elsewhere"
