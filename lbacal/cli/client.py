@@ -209,7 +209,14 @@ def print_job(job: dict[str, Any], *, most: int = 0) -> None:
     if job["error"]:
         print(f"  {job['error']}")
     for version, why in job["gated"].items():
-        print(f"  {version[:12]} waits: {why}")
+        print(f"  {version[:12]} not promoted: {why}")
+    if job["kind"] == "refit" and job["state"] == "done" and not (job["promoted"] or job["gated"]):
+        if not job["calibrations"] and not job["examined"]:
+            print("  no version was made: no spectra of this window and scope are stored")
+        elif job["calibrations"] and not request.get("promote"):
+            print(f"  not promoted: nobody asked for it; lbacal promote --job {job['job']} does it")
+        elif job["calibrations"]:
+            print("  not promoted: what was made is in effect, or a person withdrew it")
     named = [(one, "promoted") for one in job["promoted"]]
     named += [(one, "made") for one in job["calibrations"] if one not in job["promoted"] and one not in job["gated"]]
     named += [(one, "investigation") for one in job["results"]]

@@ -299,10 +299,15 @@ class Waiting(NamedTuple):
         return self.status in WITH_VALUES or any(undetermined)
 
     @property
+    def is_to_decide(self) -> bool:
+        """Whether a person can promote it: a version without a C, or a misfit, leaves nothing to decide."""
+        return self.status == CONVERGED
+
+    @property
     def sentence(self) -> str:
         """Whose version waits, for whom, and why."""
         name = name_path(*self.scope.parts)
-        waits = "waits for a person to promote it" if self.status == CONVERGED else "cannot be promoted"
+        waits = "waits for a person to promote it" if self.is_to_decide else "cannot be promoted"
         return f"version {self.calibration[:12]} of {name} {waits} ({self.gate})"
 
 

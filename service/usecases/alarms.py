@@ -17,7 +17,7 @@ import numpy as np
 
 from lbacal.instants import DAY_US, SECOND_US, format_instant, parse_instant
 from lbacal_core.causes.model import Model
-from lbacal_core.curves.curves import CONVERGED, OK
+from lbacal_core.curves.curves import OK
 from lbacal_core.curves.validity import Instant, Promotion, Scope
 from lbacal_core.errors import BadInputError, name_path, write_count
 from lbacal_core.instrument.instrument import Instrument
@@ -307,7 +307,7 @@ def find_lost_c(stores: Stores) -> Iterator[News]:
         for one in standing
         if one.calibration is None and one.by == SCHEDULER and one.valid_to is not None
     ]
-    waiting = [one for one in stores.versions.waiting() if one.status == CONVERGED]
+    waiting = [one for one in stores.versions.waiting() if one.is_to_decide]
     told += [(one.scope, (one.since, one.until), one.sentence, False) for one in waiting]
     lost: dict[tuple[str, Instant, Instant], dict[Scope, str]] = {}
     for scope, window, why, had_c in told:

@@ -87,7 +87,7 @@ class Status:
                 failures=stores.jobs.failures(self.clock() - ENDED_SINCE_US, FAILURES_SHOWN),
                 events=stores.spectra.count_events(),
                 newest_event=None if span is None else span[1],
-                gated=len(stores.versions.waiting()),
+                gated=sum(one.is_to_decide for one in stores.versions.waiting()),
                 alarms=count_alarms(stores, self.clock()),
             )
 

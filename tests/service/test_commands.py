@@ -254,9 +254,20 @@ TOLD: list[tuple[Callable[[Any], object], dict[str, Any], str]] = [
         lambda job: print_job(job, most=1), JOB,
         """job 7: refit station CS002 2014-01-01 to 2015-01-01, failed (50%), versions: 3, promoted: 1, no news: 1; map
   no room
-  aaaaaaaaaaaa waits: is far off
+  aaaaaaaaaaaa not promoted: is far off
   ffffffffffff promoted
   and 1 more""",
+    ),
+    (
+        print_job, {**JOB, "state": "done", "progress": 1.0, "error": None, "promoted": [], "gated": {}},
+        """job 7: refit station CS002 2014-01-01 to 2015-01-01, done (100%), versions: 3, promoted: 0, no news: 1; map
+  not promoted: nobody asked for it; lbacal promote --job 7 does it""",
+    ),
+    (
+        print_job,
+        {**JOB, "state": "done", "error": None, "calibrations": [], "examined": 0, "promoted": [], "gated": {}},
+        """job 7: refit station CS002 2014-01-01 to 2015-01-01, done (50%), versions: 0, promoted: 0, no news: 0; map
+  no version was made: no spectra of this window and scope are stored""",
     ),
     (
         _print_jobs, {"jobs": [{**JOB, "kind": "drift", "error": None, "gated": {}}] * 2},

@@ -318,8 +318,11 @@ def test_a_path_lost_its_c_as_its_version_waits_and_no_alarm_said_so(factory: Fa
     path = Scope("CS001", 0, "X")
     before = new_version(path, "before", since=instant("2013-01-01"), until=instant("2014-01-01"))
     gated = new_version(path, "gated", gate="a jump")
+    empty = new_version(Scope("CS001", 1, "X"), "empty", status="too_few_events", gate="too_few_events with 0 events")
     with factory.database.write() as stores:
-        stores.versions.add([before, gated])
+        stores.versions.add([before, gated, empty])
+        assert [one.is_to_decide for one in stores.versions.waiting()] == [True, False]
+    assert factory.status.look().gated == 1, "nobody can decide on a version without a C"
     factory.alarms.look()
     assert alarms(client) == [], "it never had one"
     promote(client, before, "2013-01-01", "2014-01-01")
