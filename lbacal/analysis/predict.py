@@ -203,6 +203,7 @@ def _make(content: Mapping[str, Any]) -> Prediction:
     of_event = _noise_of(content).covariance() * np.outer(power, power)
     sigma, event_sigma = np.sqrt(np.diag(covariance)), np.sqrt(np.diag(of_event))
     unit = u.Unit("adu2 / (Ohm MHz)" if content["adc"] else "W / MHz")
+    words = {unit: "ADC²/Ω/MHz" if content["adc"] else "W/MHz"}
     columns = {"frequency": nu * u.MHz, "power": power * unit, "sigma": sigma * unit, "event_sigma": event_sigma * unit}
     for name, one in content["contributions"].items():
         columns[f"{name}_fraction"] = np.array(one["fraction"]) * u.dimensionless_unscaled
@@ -222,10 +223,11 @@ def _make(content: Mapping[str, Any]) -> Prediction:
     return Prediction(
         title=f"{path} {when}, LST {content['lst_h']:.2f} h",
         rows=[
-            [f"{name}, {one.unit}".rstrip(", "), *(f"{one[k].value:.4g}" for k in at)] for name, one in columns.items()
+            [f"{name}, {words.get(one.unit, one.unit)}".rstrip(", "), *(f"{one[k].value:.4g}" for k in at)]
+            for name, one in columns.items()
         ],
         notes=[*shown, f"noise of an event: {content['noise']['source']}", *content["notes"]],
-        charts=lambda: [_draw(f"{path} {when}", nu, power, known, f"{unit:unicode}")],
+        charts=lambda: [_draw(f"{path} {when}", nu, power, known, words[unit])],
         as_dict=lambda: content,
         as_table=lambda: QTable(columns),
         more={".h5": write, ".hdf5": write},

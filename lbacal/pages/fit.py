@@ -244,7 +244,10 @@ def _draw_noise(curves: Sequence[CalibrationCurve], simulation: Simulation, sky:
     """Sky and noise terms at the start of the chain, medians of the curves."""
     found = [noise_at_input(curve, simulation.instrument) for curve in curves]
     terms = {"sky, mean over LST": sky}
-    terms |= {f"N_{name.upper()}": np.nanmedian([one[name] for one in found], axis=0) for name in found[0]}
+    terms |= {
+        f"N_{name.removesuffix('_noise').upper()}": np.nanmedian([one[name] for one in found], axis=0)
+        for name in found[0]
+    }
     title = f"power at the start of the chain, polarisation {dipole}"
     unit = "W m⁻² MHz⁻¹" if simulation.given is None else "unit of the sky power file"
     return draw_noise(simulation.instrument.frequency_mhz, terms, title, unit)

@@ -314,7 +314,7 @@ def predict_path(
     behind = [name.removeprefix("n_") for name in of_chain.names[len(of_chain.front) :]]
     contributions |= {name: contributions[name] * (plain.front / chain.front)[at] for name in behind}
     if not is_calibrated:
-        contributions = {"sky": sky, "known": plain.n_lna[at]}
+        contributions = {"sky": sky, "known_noise": plain.n_lna[at]}
         is_known = np.append(simulation.noise.precision > 0, np.zeros(len(simulation.noise.behind), dtype=bool))
         free = ", ".join(np.array(simulation.noise.names)[~is_known])
         notes += [f"noise that only data determine is not in it: {free}"] if free else []

@@ -274,7 +274,7 @@ def noise_at_input(curve: CalibrationCurve, instrument: Instrument) -> dict[str,
     Returns
     -------
     By name of the stage (`lna`, `rcu` and `adc` of a chain without stages), each shape (freq,), in the unit of P_sky;
-    `known` is what the instrument states without an error.
+    `known_noise` is what the instrument states without an error.
     """
     if curve.c is None:
         raise ValueError(f"{curve.name} has no curve")
@@ -282,4 +282,4 @@ def noise_at_input(curve: CalibrationCurve, instrument: Instrument) -> dict[str,
     value = _levels_of(curve, noise)
     forms = np.concatenate([noise.front, noise.behind / slope])
     terms = {name.removeprefix("n_"): one for name, one in zip(noise.names, value[:, None] * forms, strict=True)}
-    return terms | ({"known": noise.known} if np.any(noise.known) else {})
+    return terms | ({"known_noise": noise.known} if np.any(noise.known) else {})

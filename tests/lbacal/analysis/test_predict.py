@@ -25,6 +25,7 @@ def test_a_fit_predicts_its_paths(tmp_path: Path) -> None:
     found = lbacal.fit(spectra, "lofar-superterp")
     told = lbacal.predict(found, at=AT, station="CS002", antenna=1, dipole="X", temperature=285 * u.K)
     assert "measured in 150 events of this path" in repr(told)
+    assert ("power, ADC²/Ω/MHz " in repr(told), "adu" in repr(told)) == (True, False)
     assert "no cause of the model follows the temperature" in told.notes[-2]
     assert "sky's own noise" in told.notes[-1]
     events = told.draw_events(2000)
@@ -91,6 +92,7 @@ def test_the_command_writes_events_of_an_instrument_alone(command: Lbacal, tmp_p
     with h5py.File(tmp_path / "P.h5") as root:
         assert root["realisations"].shape == (10, 51)
         assert root["contributions/sky/kelvin"].shape == (51,)
+        assert "contributions/known_noise/kelvin" in root
         assert root.attrs["power_unit"] == "W/MHz"
     code, printed, _ = command("predict", *alone)
     assert (code, printed) == (0, said.replace("\nwrote P.h5", "")), "without a file the table is printed alone"
