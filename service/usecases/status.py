@@ -12,7 +12,7 @@ from typing import Self
 
 import structlog
 
-from lbacal.instants import DAY_US
+from lbacal.instants import DAY_US, SECOND_US
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import LbacalError, write_count
 from lbacal_core.instrument.instrument import Instrument
@@ -148,11 +148,13 @@ class Overview:
 
 
 def look_over(database: Database, instrument: Instrument, clock: Callable[[], Instant]) -> Overview:
-    """Count events, open parts of jobs, and the paths of each station that have a version in effect."""
-    paths = select_paths(instrument, None, None, None)
+    """Count events, open parts of jobs, and the paths of each station on record that have a version in effect."""
     with database.read() as stores:
         span = stores.spectra.span()
-        last = pick_answering(stores.ledger.answers(paths, clock() if span is None else span[1], None))
+        at = clock() if span is None else span[1]
+        on_record = {(one.station, one.antenna) for one in instrument.antennas if one.covers(at / SECOND_US)}
+        paths = [one for one in select_paths(instrument, None, None, None) if one.parts[:2] in on_record]
+        last = pick_answering(stores.ledger.answers(paths, at, None))
         wide = {str(promotion.calibration) for promotion in last.values() if promotion.scope.antenna is None}
         versions = stores.versions.get_many(wide)
         own = {path for path, promotion in last.items() if promotion.scope.antenna is not None}

@@ -28,6 +28,7 @@ from lbacal_twin.campaign import Campaign
 from service.app import make_app
 from service.factory import Factory
 from service.usecases.calibrations import select_paths
+from service.usecases.status import look_over
 from service.wire.answers import to_json
 from tests.service.conftest import like, served, work
 
@@ -210,6 +211,13 @@ def test_the_overview_counts_only_what_has_data(http: TestClient, service: Facto
     refit(http, service, "antenna", antenna=0, dipole="X", station="CS002")
     assert count(0) == {others: 96, own_mean: 24, own: 1}
     assert http.get("/v1/drift", params={"station": "CS002"}).json()["steps"] == []
+
+
+def test_the_overview_counts_no_path_whose_record_has_ended(factory: Factory) -> None:
+    first, *others = factory.instrument.antennas
+    ended = replace(factory.instrument, antennas=(replace(first, until=0.0), *others))
+    whole, left = (look_over(factory.database, one, factory.clock).paths for one in (factory.instrument, ended))
+    assert left == whole - 2
 
 
 def test_a_promotion_and_a_comparison_quote_what_the_path_is_told(http: TestClient, service: Factory) -> None:
