@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import lbacal
 from lbacal import tables
 from lbacal_core.audit import audit
 from lbacal_core.audit.verdict import Line
@@ -147,6 +148,13 @@ def test_the_example_of_each_format_is_read(repository: Path, tmp_path: Path, mo
     assert set(report) == set(example_report().as_dict())
     (curve,) = report["curves"]
     assert {**parse_curve(curve).as_dict(), "reference": None} == curve
+
+
+def test_the_example_of_an_instrument_is_fitted(repository: Path, tmp_path: Path) -> None:
+    (tmp_path / "i.json").write_text(example(repository, "Instrument"), encoding="utf-8")
+    spectra_of_it = lbacal.simulate(tmp_path / "i.json", events=300)
+    found = lbacal.fit(spectra_of_it, tmp_path / "i.json")
+    assert [curve.status for curve in found.report.curves] == ["converged"] * 4
 
 
 def fields_of(value: Any) -> set[str]:
