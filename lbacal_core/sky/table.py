@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lbacal_core.data.constants import BOLTZMANN, SPEED_OF_LIGHT
-from lbacal_core.errors import BadInputError
+from lbacal_core.errors import BadInputError, refuse_misspelt
 from lbacal_core.foreign import parse_numbers, read_json
 from lbacal_core.grids import Floats, require_channels
 from lbacal_core.instrument.antennas import is_dipole_name
@@ -227,14 +227,18 @@ def shipped_antenna_digest(name: str | None) -> str | None:
     return load_antenna(name).digest() if name in ANTENNAS else None
 
 
+MADE_FOR: dict[str, type] = {
+    "instrument": str, "sky": str, "antenna": str, "dipoles": dict, "hashes": dict, "versions": dict,
+}  # fmt: skip
+"""Fields that say what a sky power was made for, and their kinds."""
+
+
 def parse_made_for(content: Mapping[str, Any], place: str) -> MadeFor | None:
     """Read what a sky power file says that it was made for; None where it says nothing."""
-    kinds: dict[str, type] = {"instrument": str, "sky": str, "antenna": str, "dipoles": dict, "hashes": dict}
-    kinds["versions"] = dict
-    given = {name: content[name] for name in kinds if content.get(name) is not None}
+    given = {name: content[name] for name in MADE_FOR if content.get(name) is not None}
     for name, value in given.items():
-        if not isinstance(value, kinds[name]):
-            raise BadInputError(f"{place}: {name}", "a name" if kinds[name] is str else "an object", repr(value)[:60])
+        if not isinstance(value, kind := MADE_FOR[name]):
+            raise BadInputError(f"{place}: {name}", "a name" if kind is str else "an object", repr(value)[:60])
     if not given:
         return None
     arms = {}
@@ -470,6 +474,7 @@ def _parse_sky_power(content: Any, path: str) -> SkyPower:
     said = content["dipoles"] if isinstance(content.get("dipoles"), dict) else {}
     named = [name for name, value in content.items() if isinstance(value, list) or name in said or len(name) == 1]
     dipoles = sorted(filter(is_dipole_name, named))
+    refuse_misspelt(path, {*content} - {*dipoles}, (*fields, *MADE_FOR, "stations"))
     missing = [name for name in fields if name not in content] + ([] if dipoles else ["dipole"])
     if missing:
         raise BadInputError(path, wanted, f"no {', '.join(missing)}")

@@ -116,6 +116,10 @@ WRONG_CONTENT: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "zero": (put_value("X", 23, 0, 0), "X, row 23, channel 0: expected finite power > 0, found 0"),
     "text": (put_value("X", 1, 1, "1.0"), "X, row 1, entry 1: expected a finite number, found '1.0'"),
     "short row": (lambda c: c["X"][4].pop(), "X, row 4: expected 3 channels, found 2"),
+    "misspelt antenna": (
+        lambda c: c.__setitem__("antena", "hamaker"),
+        "antenna: expected the field 'antenna' or none, found 'antena'",
+    ),
     "missing row": (lambda c: c["Y"].pop(), r"Y: expected shape \(24, 3\) \(lst, freq\), found \(23, 3\)"),
     "rows as object": (put("X", {}), "X: expected a list of rows, one an LST, found dict"),
     "LST in degrees": (
