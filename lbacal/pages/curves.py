@@ -16,7 +16,7 @@ from lbacal_core.grids import Floats
 
 MICRO, PERCENT = 1e6, 100.0
 FREQUENCY = "frequency (MHz)"
-C_LABEL = "C (µV per ADC unit)"
+C_LABEL = "C ({} per ADC unit)"
 SMALLEST_LIMIT = 0.5
 """Per cent: the colours of a residual map go no further down, else noise alone would fill them."""
 
@@ -33,7 +33,12 @@ def draw_curves(title: str, curves: Sequence[CalibrationCurve], beside: Mapping[
         series += _draw_curve(curve, name, OF_DIPOLE.get(str(curve.dipole), k % len(OF_DIPOLE) + 1), k == 0)
     for style, (name, (mhz, c)) in zip(cycle((1, 2, 3)), (beside or {}).items(), strict=False):
         series.append(Series(LINE, mhz, MICRO * np.asarray(c, dtype=float), name=name, style=style))
-    return Chart(title, FREQUENCY, C_LABEL, series, y_limits=above_zero(series))
+    return Chart(title, FREQUENCY, C_LABEL.format(unit_of_c(fitted)), series, y_limits=above_zero(series))
+
+
+def unit_of_c(curves: Sequence[CalibrationCurve]) -> str:
+    """Microvolts; of an antenna of 1 m^2, where no antenna gain was given."""
+    return "µV by 1 m²" if curves and all(np.all(one.antenna_gain == 1.0) for one in curves) else "µV"
 
 
 def above_zero(series: Sequence[Series]) -> tuple[float, float]:

@@ -20,6 +20,7 @@ from lbacal.pages.curves import (
     draw_residuals,
     draw_terms,
     limit_residuals,
+    unit_of_c,
 )
 from lbacal.pages.report import Origin, fill_report
 from lbacal_core.calibration.budget import largest_chi2_per_dof
@@ -46,8 +47,7 @@ def tabulate_curves(curves: Sequence[CalibrationCurve]) -> list[list[str]]:
     for curve in curves:
         together = " ".join(part for part in (curve.station, curve.dipole) if part)
         groups.setdefault(curve.name if len(curves) <= MOST_ROWS else together, []).append(curve)
-    unit = "µV by 1 m²" if all(np.all(curve.antenna_gain == 1.0) for curve in curves) else "µV"
-    header = [*HEADER, *(f"C({frequency[k]:g} MHz), {unit} ±stat.% ±syst.%" for k in at)]
+    header = [*HEADER, *(f"C({frequency[k]:g} MHz), {unit_of_c(curves)} ±stat.% ±syst.%" for k in at)]
     return [header, *(_row(name, group, at) for name, group in groups.items())]
 
 
@@ -232,7 +232,7 @@ def draw_c(curves: Sequence[CalibrationCurve], title: str = "C") -> Chart:
         series.append(Series(LINE, mhz, MICRO * middle, name=f"{dipole}: median of {len(own)} curves", colour=colour))
         flagged = mhz[np.mean([curve.flags != OK for curve in own], axis=0) > 0.5]
         series.append(Series(POINTS, flagged, np.zeros(flagged.size), name="flagged" if flagged.size else ""))
-    return Chart(title, FREQUENCY, C_LABEL, series, y_limits=above_zero(series))
+    return Chart(title, FREQUENCY, C_LABEL.format(unit_of_c(fitted)), series, y_limits=above_zero(series))
 
 
 def _median_error(curves: Sequence[CalibrationCurve], name: str) -> Floats:

@@ -113,7 +113,7 @@ def _page(
 def _show(key: str, chart: Chart, span: Span, kept: Mapping[str, str]) -> Figure:
     """A chart with the address of its numbers; C itself on the scale that is asked for, with that of the other one."""
     numbers = span.with_more(**kept, csv=key)
-    if chart.y_label != C_LABEL:
+    if not chart.y_label.startswith(C_LABEL.partition("{")[0]):
         return Figure(chart, numbers)
     if kept.get("scale") != LOG:
         return Figure(chart, numbers, span.with_more(**{**kept, "scale": LOG}), LOG)
