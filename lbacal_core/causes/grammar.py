@@ -22,6 +22,7 @@ import numpy as np
 from lbacal_core.causes.antenna import DipoleSwap
 from lbacal_core.causes.axes import DAY_S
 from lbacal_core.causes.cause import BEYOND_SIGMA, RAIN, SCOPES, TEMPERATURE, YEAR_S, Cause, Conditions, Template
+from lbacal_core.causes.chain import compress
 from lbacal_core.causes.sky import NO_DIRECTIONS, SOURCE_KEYS, PointSource, SolarEmission
 from lbacal_core.errors import BadInputError
 from lbacal_core.foreign import write_instant
@@ -685,13 +686,6 @@ def _vary_source(name: str) -> Act:
     return act
 
 
-def _follow_power(terms: ChainTerms, _: Conditions, change: Floats) -> ChainTerms:
-    """Change the gain in front of the converter with the excess of the power there over its mean."""
-    total = np.sum((terms.sky + terms.n_lna) * terms.front + terms.receiver_noise, axis=-1, keepdims=True)
-    factor = 1.0 + change * (total / total.mean(axis=1, keepdims=True) - 1.0)
-    return replace(terms, front=terms.front * factor, receiver_noise=terms.receiver_noise * factor)
-
-
 @dataclass(frozen=True)
 class Place:
     """A place in the chain.
@@ -800,7 +794,7 @@ PLACES: dict[str, Place] = {
         moves=True,
     ),
     "level": Place(
-        _follow_power,
+        lambda terms, c, change: compress(terms, c, -change),
         "the gain of the receiver changes with the total power at the converter (size where that is twice its mean)",
         "G_RCU -> G_RCU (1 + {0} (power at the converter / its mean - 1))",
         "insert an attenuator and look whether the ratio of strong to weak sky changes",
