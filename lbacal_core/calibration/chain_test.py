@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from lbacal_core.calibration.lines import Lines, Look, PathLines, look_beside, move_lines, move_lines_by
 from lbacal_core.curves.curves import CalibrationCurve
+from lbacal_core.errors import name_path
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.chain import Intercepts
 from lbacal_core.linear import find_whitener, invert_symmetric, solve_symmetric
@@ -85,16 +86,8 @@ def describe_mistakes(mistaken: Mapping[Owner, str]) -> str:
     for owner, name in mistaken.items():
         owners.setdefault(name, []).append(owner)
     order = sorted(owners, key=lambda name: (-len(owners[name]), name))
-    return "; ".join(f"{name} ({_name(owners[name][0])}{_more(len(owners[name]) - 1)})" for name in order)
-
-
-def _name(owner: Owner) -> str:
-    station, antenna = owner
-    return (station or "array") + ("" if antenna is None else f" antenna {antenna}")
-
-
-def _more(number: int) -> str:
-    return f" and {number} more" if number else ""
+    more = {name: f" and {len(of) - 1} more" if len(of) > 1 else "" for name, of in owners.items()}
+    return "; ".join(f"{name} ({name_path(*owners[name][0])}{more[name]})" for name in order)
 
 
 MISFIT_PROBABILITY = 1e-6
