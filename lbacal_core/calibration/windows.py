@@ -120,17 +120,13 @@ def set_apart(spectra: Spectra, instrument: Instrument) -> tuple[Spectra, Instru
         most_first = found[np.argsort(-counts, kind="stable")].tolist()
         for number, k in zip((owner[1], *range(free, free + len(most_first) - 1)), most_first, strict=True):
             of_stretch = rows[stretch == k]
-            record = next(one for one in own if _holds(one.since, one.until, float(spectra.time_unix[of_stretch[0]])))
+            record = next(one for one in own if one.covers(float(spectra.time_unix[of_stretch[0]])))
             records.append(replace(record, antenna=number, since=None, until=None))
             antenna[of_stretch] = number
         free += len(most_first)
     if not changed:
         return spectra, instrument
     return replace(spectra, antenna=antenna), replace(instrument, antennas=tuple(records))
-
-
-def _holds(since: float | None, until: float | None, time_unix: float) -> bool:
-    return (since is None or since <= time_unix) and (until is None or time_unix < until)
 
 
 def _cut_at(dates: Sequence[float], owners: Container[Owner], ends: tuple[float, float]) -> Iterator[Piece]:
