@@ -102,7 +102,8 @@ def read_selected(
         tell(f"read {file.name}")
         whole = read_spectra(file, now_unix)
         if whole.left_out:
-            tell(f"{file.name}: {whole.flagged_words}, left out")
+            words = ", ".join(f"{count} {flag}" for flag, count in whole.left_out.items())
+            tell(f"{file.name}: {sum(whole.left_out.values())} spectra are flagged ({words}), left out")
         if len(whole):
             seen.append((*whole.span_unix, set(whole.station.tolist())))
         chosen = selection.apply(whole)

@@ -26,7 +26,6 @@ from lbacal_core.calibration.separable import SeparableSolution
 from lbacal_core.calibration.singles import chain_forms
 from lbacal_core.curves.covariance import Budget, BudgetTerm
 from lbacal_core.curves.curves import OK, UNCERTAIN, CalibrationCurve, FitReport
-from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.data.tables import read_prior
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import Floats
@@ -324,20 +323,14 @@ def measure_electronics(spectra: Spectra, simulation: Simulation) -> BudgetTerm 
     What a curve of a station or of the array has beside the shared terms when it is used for one antenna; the curve of
     a path by itself has its statistical error instead.
     """
-    chains = zip(*_fit_mean(spectra, simulation), strict=True)
+    report = fit_calibration(spectra, simulation, "array")
+    chains = zip(report.curves, report.chains, strict=True)
     found = {curve.dipole: chain.spreads for curve, chain in chains if chain is not None and chain.spreads is not None}
     if not found:
         return None
     vectors = {str(p): 0.5 * np.sqrt(one.all_paths.variance)[None] for p, one in found.items()}
     paths = max(one.all_paths.paths for one in found.values())
     return BudgetTerm("electronics between antennas", f"{paths} paths fitted by themselves", vectors)
-
-
-def _fit_mean(
-    spectra: Spectra, simulation: Simulation
-) -> tuple[Sequence[CalibrationCurve], Sequence[ReferenceChain | None]]:
-    report = fit_calibration(spectra, simulation, "array")
-    return report.curves, report.chains
 
 
 # How well a fit knows what an antenna records without the sky.

@@ -54,11 +54,6 @@ class GainWaves:
         return GainWaves(self.score + other.score, self.information + other.information)
 
     @property
-    def are_likely(self) -> bool:
-        """Whether such gains describe the data better by as much as a mistake must."""
-        return self.odds > LARGEST_GAIN
-
-    @property
     def odds(self) -> float:
         """Ln of the probability of the data with such gains over that without; the number of harmonics is not known."""
         ends = np.arange(2, self.score.size + 1, 2)
@@ -74,12 +69,12 @@ class GainWaves:
 
 
 def stations_that_follow(seen: Sequence[tuple[str | None, GainWaves | None]]) -> set[str | None]:
-    """Stations, or None for the array, with such gains: both polarisations together."""
+    """Stations, or None for the array, with gains likelier by as much as a mistake must be, of both polarisations."""
     total: dict[str | None, GainWaves] = {}
     for station, waves in seen:
         if waves is not None:
             total[station] = waves + total[station] if station in total else waves
-    return {station for station, waves in total.items() if waves.are_likely}
+    return {station for station, waves in total.items() if waves.odds > LARGEST_GAIN}
 
 
 def describe_gain_waves(stations: Collection[str | None]) -> str:

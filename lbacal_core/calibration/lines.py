@@ -77,11 +77,6 @@ class NoiseLevels:
         return np.asarray(np.sqrt(np.sum(self.vectors.mean(axis=-1) ** 2, axis=1) + own))
 
 
-def slope_of_gain(frequency_mhz: Floats, antenna_gain: Floats) -> Floats:
-    """Derivative of ln G_ant by frequency, shape (freq,), 1/MHz: the form of a resonance that moves."""
-    return np.asarray(scipy.interpolate.CubicSpline(frequency_mhz, np.log(antenna_gain))(frequency_mhz, 1))
-
-
 def estimate_noise_levels(
     residual: Floats, relative_variance: Floats, fitted_per_channel: int, seeds: Floats
 ) -> NoiseLevels:
@@ -178,7 +173,8 @@ class ChainForms:
     @classmethod
     def of(cls, frequency_mhz: Floats, antenna_gain: Floats, receiver_gain: Floats) -> ChainForms:
         """Make the forms of an instrument."""
-        return cls(slope_of_gain(frequency_mhz, antenna_gain), receiver_gain)
+        slope = scipy.interpolate.CubicSpline(frequency_mhz, np.log(antenna_gain))(frequency_mhz, 1)
+        return cls(np.asarray(slope), receiver_gain)
 
 
 @dataclass(frozen=True)

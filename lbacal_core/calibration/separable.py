@@ -255,7 +255,8 @@ class _Scaled:
         between = (values - mean) * np.sqrt(weight)[:, :, None]
         smallest = RANGE[np.argmax(grown < FARTHEST**2, axis=0)]
         at_smallest = _solve_linear(self, smallest[:, None], prior)
-        within, is_identifiable = _invert(_full_information(at_smallest.at_fixed_n(), size), size)
+        at_fixed_n = replace(at_smallest, own=at_smallest.own * CERTAIN)  # n known far better than the data know it
+        within, is_identifiable = _invert(_full_information(at_fixed_n, size), size)
         return SeparableSolution(
             x=mean[:, :size],
             n=mean[:, size : size + 1],
@@ -333,10 +334,6 @@ class _Optimum:
         for name, values in vars(part).items():
             if name != "size":
                 getattr(self, name)[at] = values
-
-    def at_fixed_n(self) -> _Optimum:
-        """The optimum with n known far better than the data know it."""
-        return replace(self, own=self.own * CERTAIN)
 
 
 def _solve_linear(problem: _Scaled, n: Floats, prior: float) -> _Optimum:

@@ -114,7 +114,8 @@ def solve_together(
     windows, chi2_per_dof = np.ones(len(owners), dtype=np.int64), np.full(len(owners), np.nan)
     joined, is_free, shapes = alone, is_free.copy(), gain_modes(frequency_mhz)
     every = [_line_up(one, owners, loss) for one in beside]
-    same = [one.keep_same() for one in every]
+    # without the lines that a change parts from this window
+    same = [replace(one, information=one.information * one.is_same[:, None, None]) for one in every]
     is_parted = _count(every, len(owners)) > _count(same, len(owners))
     for counted, is_asked in ((every, np.ones_like(is_parted)), (same, is_parted)):
         count = _count(counted, len(owners))
@@ -265,10 +266,6 @@ class _Other:
     def sigmas(self) -> Floats:
         """Standard deviations of the gain between the windows, shape (path, shape)."""
         return np.where(self.is_same[:, None], GAIN_SIGMAS, OTHER_SIGMAS)
-
-    def keep_same(self) -> _Other:
-        """Without the lines that a change parts from this window."""
-        return replace(self, information=self.information * self.is_same[:, None, None])
 
     @property
     def has_lines(self) -> NDArray[np.bool_]:

@@ -172,19 +172,14 @@ class Conditions:
         """Whether the events have dates, and are no means over them."""
         return bool(np.all(np.isfinite(self.time_unix)))
 
-    @property
-    def is_sidereal_day(self) -> bool:
-        """Whether the events are the instants of a regular grid over the sidereal day, as those of an LST curve."""
-        step = 24.0 / self.lst_hours.size
-        return bool(np.allclose(np.diff(self.lst_hours), step, rtol=0.0, atol=1e-9))
-
     def later(self, sky: Floats, hours: Floats) -> Floats:
         """P_sky, shape (class, event, freq), read later in LST, shape (event,): whatever causes have made of it.
 
-        Single events know P_sky only as the simulation has it, and take the ratio.
+        A regular grid over the sidereal day, as of an LST curve, is read as it is; single events know P_sky only as the
+        simulation has it, and take the ratio.
         """
         moved = self.lst_hours + hours
-        if self.is_sidereal_day:
+        if np.allclose(np.diff(self.lst_hours), 24.0 / self.lst_hours.size, rtol=0.0, atol=1e-9):
             return read_at(sky, moved - self.lst_hours[0])
         return np.asarray(sky * self.sky_at(moved) / self.sky_at(self.lst_hours))
 

@@ -337,10 +337,6 @@ def _contrast(conditions: Conditions) -> Floats:
     return np.asarray((first - np.mean(others, axis=0)) / power.mean())
 
 
-def _where_two(conditions: Conditions) -> list[tuple[()]]:
-    return [()] if len(conditions.sky_of) > 1 else []
-
-
 def _bands(conditions: Conditions) -> list[tuple[float, float]]:
     """The whole band and its fifths, where they hold a channel."""
     frequency = conditions.frequency_mhz
@@ -491,7 +487,7 @@ COURSES: dict[str, Kind] = {
     ),
     "contrast": Kind(
         _contrast,
-        _where_two,
+        lambda c: [()] if len(c.sky_of) > 1 else [],
         "with the difference between the polarisations in the power of the sky",
         "(P_sky,1 - P_sky,2) / mean",
     ),

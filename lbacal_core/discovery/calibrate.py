@@ -201,7 +201,9 @@ class FittedCauses:
             settings={**report.provenance.settings, "model": self.model.to_text()},
             notes={**report.provenance.notes, "model": self._note},
         )
-        return replace(report, curves=tuple(curves), provenance=provenance, causes=self.as_dicts())
+        return replace(
+            report, curves=tuple(curves), provenance=provenance, causes=tuple(map(describe_size, self.sizes))
+        )
 
     def _add_errors(
         self,
@@ -242,10 +244,6 @@ class FittedCauses:
         words += [f"{idle} without effect in these spectra"] if idle else []
         words += [f"{left_out} spectra left out, a covariate is not known"] if left_out else []
         return "; ".join(words)
-
-    def as_dicts(self) -> tuple[Mapping[str, Any], ...]:
-        """The adopted causes with their sizes in these spectra, as JSON values."""
-        return tuple(describe_size(size) for size in self.sizes)
 
 
 def _with_common(curve: CalibrationCurve, common: Floats) -> CalibrationCurve:

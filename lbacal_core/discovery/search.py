@@ -215,7 +215,8 @@ def put_into_words(report: StationReport, seed: int = 0) -> StationReport:
             gone = [one for one in report.findings if all(one is not other for other in standing)]
             return put_into_words(replace(report, findings=standing, similar=[*report.similar, *gone]), seed)
     rest = None if report.rest is None else put_into_words(report.rest, seed)
-    if rest is not None and _say_of_one([*description.sentences[:1], *rest.description.sentences[:1]]):
+    first = [] if rest is None else [*description.sentences[:1], *rest.description.sentences[:1]]
+    if len(first) > 1 and len({one.hypothesis.target.label for one in first}) == 1:
         rest = None  # what was seen in two antennas is said of one
     parts = [description] if rest is None else [description, rest.description]
     whole = {target.label: target for target in targets}
@@ -226,11 +227,6 @@ def put_into_words(report: StationReport, seed: int = 0) -> StationReport:
     if len(seen) < len(report.findings):  # what was left beside a name that goes is not the structure
         return put_into_words(replace(report, findings=seen, similar=similar), seed)
     return replace(report, description=description, rest=rest)
-
-
-def _say_of_one(sentences: Sequence[Described]) -> bool:
-    """Whether two sentences are of one target."""
-    return len(sentences) > 1 and len({one.hypothesis.target.label for one in sentences}) == 1
 
 
 def _stand_against(alone: Description, beside: Description, report: StationReport) -> list[Finding]:
@@ -330,7 +326,9 @@ def _find_left(grown: Grown, search: StationSearch, rng: np.random.Generator) ->
         model = grown.others[again.number]
     if score is None:
         return find_structure(model.linear, rng, alpha)
-    return find_structure(model.linear, rng, alpha, score.p_value, _axes_on_station(score, model.station.conditions))
+    # the means show it along its axes, unless its target is an antenna or a path
+    axes = _axes_of(score.cause, score.template, model.station.conditions) if score.target.is_wide else set()
+    return find_structure(model.linear, rng, alpha, score.p_value, axes)
 
 
 def _leave_out(station: Station, structure: ResidualStructure) -> Station | None:
@@ -416,11 +414,6 @@ def _axes_of(cause: Cause, template: Template, conditions: Conditions) -> set[st
     """Axes along which a cause acts: LST alone, where it acts at all times alike and the sky beside it changes."""
     is_constant = np.ptp(cause.time_profile(conditions, template)) == 0
     return {*cause.axes, "lst"} if is_constant else set(cause.axes)
-
-
-def _axes_on_station(score: Score, conditions: Conditions) -> set[str]:
-    """Axes along which the means show a cause; none where its target is an antenna or a path."""
-    return _axes_of(score.cause, score.template, conditions) if score.target.is_wide else set()
 
 
 def _unidentifiable(station: Station, search: StationSearch) -> dict[str, str]:

@@ -294,7 +294,8 @@ def multiply(one: Form, other: Form) -> Form:
 
 def gated(conditions: Conditions, course: Form) -> list[Form]:
     """A course times each of those that say when it acts."""
-    return [multiply(course, gate) for gate in _gates(conditions)]
+    gates = [one for one in list_courses(conditions) if COURSES[one[0]].gates or one[0] in OTHER_GATES]
+    return [multiply(course, gate) for gate in gates]
 
 
 def with_one_gate_less(course: Form) -> list[Form]:
@@ -302,11 +303,6 @@ def with_one_gate_less(course: Form) -> list[Form]:
     if course[0] != PRODUCT:
         return []
     return [course[1], *(multiply(less, course[2]) for less in with_one_gate_less(course[1]))]
-
-
-def _gates(conditions: Conditions) -> list[Form]:
-    """Courses with which a product is tried."""
-    return [one for one in list_courses(conditions) if COURSES[one[0]].gates or one[0] in OTHER_GATES]
 
 
 def estimate_sentence(model: LinearModel, one: ScoredSentence, choices: int) -> list[ScoredSentence]:

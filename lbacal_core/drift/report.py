@@ -86,7 +86,8 @@ def list_changes(history: History, followed: Followed) -> list[Change]:
         steps += _steps(followed.stations, [(station, None, dipole) for station, dipole in followed.groups])
     steps.sort(key=lambda step: (-step.significance, step.station, step.date_unix))
     span_s = float(history.time_unix[-1] - history.time_unix[0])
-    return _join(_join(steps, _is_of_one_antenna), partial(_is_at_one_date, span_s=span_s))
+    of_antennas = _join(steps, lambda a, b: a.members[0].antenna == b.members[0].antenna and _may_be_one(a, b))
+    return _join(of_antennas, partial(_is_at_one_date, span_s=span_s))
 
 
 def _join(changes: Sequence[Change], is_one: Callable[[Change, Change], bool]) -> list[Change]:
@@ -120,10 +121,6 @@ def _steps(found: Found, owners: Sequence[tuple[str, int | None, str]]) -> Itera
             significance,
             known,
         )
-
-
-def _is_of_one_antenna(one: Change, other: Change) -> bool:
-    return one.members[0].antenna == other.members[0].antenna and _may_be_one(one, other)
 
 
 def _is_at_one_date(one: Change, other: Change, span_s: float) -> bool:

@@ -156,7 +156,8 @@ def search_series(series: Series, known_unix: Floats | None = None, false_alarms
     of_other = search.settle_cost(search.terms, search.errors)
     if of_other >= cost:
         return found
-    search.begin(*search.without_terms())  # with medians as settled
+    search.remove(search.is_free, search.terms.has_slope)
+    search.begin(search.terms, search.errors)  # with the terms that are known, and medians as settled
     found = search.run()
     return other if of_other < search.settle_cost(search.terms, search.errors) - search.cut else found
 
@@ -200,11 +201,6 @@ class _Search(SeriesModel):
         has_more = self._improve_on()
         self.is_white = False
         return has_more
-
-    def without_terms(self) -> tuple[Terms, Floats]:
-        """The terms that are known, with the errors of their dates."""
-        self.remove(self.is_free, self.terms.has_slope)
-        return self.terms, self.errors
 
     def begin(self, terms: Terms, errors: Floats) -> None:
         """Begin with some terms: let noise be estimated, medians be taken and everything be tried once more."""

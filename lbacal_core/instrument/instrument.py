@@ -121,7 +121,9 @@ class Instrument:
         self._require_shape_error()
         self._require_stages()
         self._require_kelvin()
-        self._require_doubt()
+        if self.antenna_doubt is not None and not 0 <= self.antenna_doubt < 1:
+            place = f"instrument {self.name}: antenna_doubt"
+            raise BadInputError(place, "a probability, 0 to below 1", f"{self.antenna_doubt}")
         for cable, loss in self.cables.items():
             self._require_gain(f"cables.{cable}", loss, 1.0)
         for row, record in enumerate(self.antennas):
@@ -241,11 +243,6 @@ class Instrument:
             self._require_square_metres(place, "kelvin")
             if not 0 < self.kelvin_error < 1:
                 raise BadInputError(f"{place}.error", "a fraction of the power, 0 to 1", f"{self.kelvin_error}")
-
-    def _require_doubt(self) -> None:
-        if self.antenna_doubt is not None and not 0 <= self.antenna_doubt < 1:
-            place = f"instrument {self.name}: antenna_doubt"
-            raise BadInputError(place, "a probability, 0 to below 1", f"{self.antenna_doubt}")
 
     def _require_square_metres(self, place: str, found: str) -> None:
         if self.gain_provenance is None or self.gain_provenance.kind != ABSOLUTE:

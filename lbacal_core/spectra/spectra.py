@@ -261,12 +261,6 @@ class Spectra:
         found = dict(zip(flags.tolist(), counts.tolist(), strict=True))
         return replace(self.select(self.flag == ""), flag=None, left_out=found)
 
-    @property
-    def flagged_words(self) -> str:
-        """How many spectra were left out for their flags, in words."""
-        words = ", ".join(f"{count} {flag}" for flag, count in self.left_out.items())
-        return f"{sum(self.left_out.values())} spectra are flagged ({words})"
-
     def channel_widths(self) -> Floats:
         """Widths of the channels, shape (freq,), MHz: as given, else 1 on a grid of whole MHz, else the spacing."""
         return self.width_mhz if self.width_mhz is not None else guess_widths(self.frequency_mhz)
@@ -552,21 +546,18 @@ def join_spectra(parts: Sequence[Spectra]) -> Spectra:
     names = sorted({name for part in parts for name in part.environment})
     columns: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _BY_ROW}
     durations = [part.duration_s for part in parts if part.duration_s is not None]
+    known = {name: [part.environment.get(name, np.full(len(part), np.nan)) for part in parts] for name in names}
     return Spectra(
         first.frequency_mhz,
         **columns,
         resistance_ohm=first.resistance_ohm,
-        environment={name: np.concatenate([_covariate(part, name) for part in parts]) for name in names},
+        environment={name: np.concatenate(values) for name, values in known.items()},
         origin=f"{first.origin} and {len(parts) - 1} more",
         width_mhz=first.width_mhz,
         duration_s=np.concatenate(durations) if durations else None,
         left_out={flag: sum(part.left_out.get(flag, 0) for part in parts) for part in parts for flag in part.left_out},
         arms_deg={letter: azimuth for part in parts for letter, azimuth in part.arms_deg.items()},
     )
-
-
-def _covariate(part: Spectra, name: str) -> Floats:
-    return part.environment.get(name, np.full(len(part), np.nan))
 
 
 def _without_repetitions(parts: Sequence[Spectra]) -> list[Spectra]:
