@@ -123,12 +123,10 @@ class StationState:
 
 @dataclass(frozen=True)
 class Overview:
-    """Counts, and stations."""
+    """The first and the last event, and stations."""
 
-    events: int
     first: Instant | None
     last: Instant | None
-    open_parts: int
     stations: Sequence[StationState]
 
     @property
@@ -148,7 +146,7 @@ class Overview:
 
 
 def look_over(database: Database, instrument: Instrument, clock: Callable[[], Instant]) -> Overview:
-    """Count events, open parts of jobs, and the paths of each station on record that have a version in effect."""
+    """Count the paths of each station on record that have a version in effect at the last event."""
     with database.read() as stores:
         span = stores.spectra.span()
         at = clock() if span is None else span[1]
@@ -169,13 +167,7 @@ def look_over(database: Database, instrument: Instrument, clock: Callable[[], In
             stations.append(
                 StationState(name, len(of_station), len(with_data), len(of_station & own), len(told - with_data))
             )
-        return Overview(
-            events=stores.spectra.count_events(),
-            first=span[0] if span else None,
-            last=span[1] if span else None,
-            open_parts=stores.jobs.count_open(),
-            stations=stations,
-        )
+        return Overview(span[0] if span else None, span[1] if span else None, stations)
 
 
 def _is_member(version: Version, path: Scope) -> bool:
