@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from fastapi import APIRouter, Depends, Request, Response
+from fastapi import APIRouter, Request, Response
 from fastapi.responses import PlainTextResponse
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, Gauge, generate_latest
 
@@ -12,7 +12,7 @@ from lbacal.instants import format_optional
 from lbacal_core.curves.validity import Instant
 from service.handlers.models import describe_investigation
 from service.handlers.problems import document
-from service.handlers.request import UseCases, answer, require_read
+from service.handlers.request import MAY_READ, UseCases, answer
 from service.handlers.routes import reads
 from service.storage.alarms import ACKNOWLEDGED, KINDS, OPEN
 from service.storage.jobs import Failure
@@ -63,7 +63,7 @@ def get_status(request: Request, use: UseCases) -> Response:
     summary="Counts for Prometheus",
     response_class=PlainTextResponse,
     responses=document(401, 503),
-    dependencies=[Depends(require_read)],
+    dependencies=[MAY_READ],
 )
 def get_metrics(request: Request, use: UseCases) -> Response:
     registry: CollectorRegistry = request.app.state.registry
@@ -74,16 +74,12 @@ def get_metrics(request: Request, use: UseCases) -> Response:
 def describe_status(state: State, news: list[StationNews], stopped: list[str], waiting: list[str]) -> dict[str, Any]:
     """Describe the status of the service as JSON values of `StatusAnswer`."""
     processes = [fill_answer(wire.ProcessAnswer, one, silent_s=one.silent_us / 1e6) for one in state.processes]
+    newest = [fill_answer(wire.NewsAnswer, one, **describe_investigation(one.newest)) for one in news]
     return fill_answer(
         wire.StatusAnswer, state, ready=state.problem is None, processes=processes,
-        alarms=fill_answer(wire.AlarmCountsAnswer, state.alarms), investigations=[describe_news(one) for one in news],
+        alarms=fill_answer(wire.AlarmCountsAnswer, state.alarms), investigations=newest,
         not_refitted=waiting, stopped_paying=stopped, failures=[describe_failure(one) for one in state.failures],
     )  # fmt: skip
-
-
-def describe_news(news: StationNews) -> dict[str, Any]:
-    """The newest investigation of a station, and what is new in it, as JSON values of `NewsAnswer`."""
-    return fill_answer(wire.NewsAnswer, news, **describe_investigation(news.newest))
 
 
 def describe_failure(failure: Failure) -> dict[str, Any]:

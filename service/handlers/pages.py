@@ -35,6 +35,7 @@ from service.factory import Factory
 from service.handlers.request import (
     FORM_COOKIE,
     IMMUTABLE,
+    MAY_READ,
     REVALIDATE,
     SESSION_COOKIE,
     TAKES_TURN,
@@ -43,7 +44,6 @@ from service.handlers.request import (
     JobNumber,
     UseCases,
     answer,
-    require_read,
 )
 from service.page import charts
 from service.page.charts import Span
@@ -68,7 +68,7 @@ def require_scale(scale: str = "") -> None:
 
 
 router = APIRouter(
-    include_in_schema=False, dependencies=[Depends(require_read), TAKES_TURN, Depends(require_scale)],
+    include_in_schema=False, dependencies=[MAY_READ, TAKES_TURN, Depends(require_scale)],
     default_response_class=HTMLResponse,
 )  # fmt: skip
 assets = APIRouter(include_in_schema=False, default_response_class=Response)

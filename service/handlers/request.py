@@ -52,13 +52,8 @@ InPath = Annotated[str, Path(pattern=r"^[^\x00-\x1f\x7f]{1,200}$")]
 """A name in an address."""
 
 
-def get_factory(request: Request) -> Factory:
-    """Get the use cases of this application."""
-    return cast("Factory", request.app.state.factory)
-
-
 async def _provide_factory(request: Request) -> Factory:
-    return get_factory(request)
+    return cast("Factory", request.app.state.factory)
 
 
 BEARER = HTTPBearer(scheme_name="key", description="A key made by `lbacal keys create`.", auto_error=False)
@@ -76,11 +71,6 @@ async def _require_station(use: UseCases, station: str | None = None) -> str | N
 
 StationQuery = Annotated[str | None, Depends(_require_station)]
 """The station of which a list is asked for: one of the instrument, as a misspelt one would seem to have nothing."""
-
-
-def require_read(request: Request, use: UseCases, _bearer: Bearer) -> Caller:
-    """Find the caller, who must be allowed to read."""
-    return require_caller(request, use, "read")
 
 
 def require_caller(
@@ -169,6 +159,9 @@ def caller_with(*scopes: str) -> Any:
     return Depends(require)
 
 
+MAY_READ = caller_with("read")
+
+
 async def read_json_body(request: Request) -> bytes:
     """The body of a JSON request that changes one thing."""
     return await _read_body(request, ("application/json",), SMALL_BODY, "")
@@ -251,7 +244,7 @@ def answer_in_pieces(request: Request, pieces: Iterator[bytes], size: int, named
 def _head(request: Request, named: bytes, cache: str) -> tuple[dict[str, str], bool]:
     """The headers of an answer that is known by some bytes, and whether the client holds it."""
     etag = f'"{hashlib.sha256(named).hexdigest()}"'
-    is_open = get_factory(request).settings.open_reads
+    is_open = cast("Factory", request.app.state.factory).settings.open_reads
     if not is_open:
         # what needs a key is for its holder: no cache between may keep it for others (RFC 9111, 3.5)
         cache = f"private, {cache.removeprefix('public, ')}"
