@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import re
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Mapping, Sequence
@@ -296,12 +295,6 @@ class Cache:
         path.parent.mkdir(parents=True, exist_ok=True)
         with written_beside(path) as beside:
             beside.write_bytes(content)
-
-
-def find_cache() -> Cache | None:
-    """The cache of `LBACAL_CACHE`, None where that is not set."""
-    folder = os.environ.get("LBACAL_CACHE")
-    return Cache(Path(folder)) if folder else None
 
 
 def _require_tag(tag: str) -> str:

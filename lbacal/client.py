@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, Self, TypeVar
 import numpy as np
 
 from lbacal import tables
-from lbacal.cache import Cache, Question, Snapshot, find_cache
+from lbacal.cache import Cache, Question, Snapshot
 from lbacal.files import path_of
 from lbacal.instants import format_time, parse_instant
 from lbacal.selection import parse_selection
@@ -62,7 +62,8 @@ class Client:
     def __init__(self, url: str | None = None, api_key: str | None = None, tries: int = TRIES) -> None:
         address = url or os.environ.get("LBACAL_URL") or DEFAULT_URL
         self._transport = Transport(address, api_key or os.environ.get("LBACAL_API_KEY") or None, tries)
-        self._cache = find_cache()
+        folder = os.environ.get("LBACAL_CACHE")
+        self._cache = Cache(Path(folder)) if folder else None
         self.snapshot: Snapshot | None = None
         """The cached tag that answered the last question; None where the server did."""
 

@@ -63,7 +63,8 @@ class Worker:
                 try:
                     begun = _take_ended(begun)
                     if len(begun) < min(self._factory.engine.slots, MOST_AT_ONCE):
-                        part = self._claim()
+                        with self._factory.database.write() as stores:
+                            part = stores.jobs.claim(self._name, lease_us=self._lease_us, inputs=self._inputs)
                         if part is not None:
                             begun.add(lanes.submit(self._do, part))
                             continue
@@ -77,10 +78,6 @@ class Worker:
                     return
                 else:
                     stop.wait(poll_s)
-
-    def _claim(self) -> Part | None:
-        with self._factory.database.write() as stores:
-            return stores.jobs.claim(self._name, lease_us=self._lease_us, inputs=self._inputs)
 
     def _tell_what_is_left(self) -> None:
         """Say once of parts that were made for other inputs that this worker refuses them."""

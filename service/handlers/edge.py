@@ -8,9 +8,8 @@ import threading
 import time
 import uuid
 from collections import OrderedDict
-from collections.abc import Callable, MutableMapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 from urllib.parse import urlsplit, urlunsplit
 
 import structlog
@@ -146,12 +145,16 @@ class Edge:
             raise TooManyError("too many requests came from this address", wait)
 
     def _tell(self, exchange: _Exchange) -> None:
-        seconds = time.perf_counter() - exchange.begun
-        self._traffic.count(exchange.method, exchange.route, exchange.status, seconds)
+        scope, seconds = exchange.scope, time.perf_counter() - exchange.begun
+        method, route = str(scope["method"]), scope.get("route")
+        # all paths that no route has count as one
+        self._traffic.count(method, str(getattr(route, "path", "none")), exchange.status, seconds)
+        # the number of the key that was accepted, never its text; None without a key
+        caller = scope.get("state", {}).get("caller")
         write = log.debug if exchange.path.startswith(QUIET) else log.info
         write(
-            "request", method=exchange.method, path=exchange.path, status=exchange.status,
-            ms=round(1000 * seconds, 1), client=exchange.address, caller=exchange.caller,
+            "request", method=method, path=exchange.path, status=exchange.status,
+            ms=round(1000 * seconds, 1), client=exchange.address, caller=caller,
         )  # fmt: skip
 
 
@@ -170,31 +173,15 @@ class _Exchange:
         self._has_slot = False
 
     @property
-    def method(self) -> str:
-        """GET, POST, ..."""
-        return str(self.scope["method"])
-
-    @property
     def path(self) -> str:
         """Path of the request, without the query."""
         return str(self.scope["path"])
-
-    @property
-    def route(self) -> str:
-        """The route as it is declared; the same for all paths that no route has."""
-        return str(getattr(self.scope.get("route"), "path", "none"))
 
     @property
     def address(self) -> str:
         """Where the request came from."""
         client = self.scope.get("client")
         return str(client[0]) if client else "unknown"
-
-    @property
-    def caller(self) -> str | None:
-        """The number of the key that was accepted, never its text; None without a key."""
-        state: MutableMapping[str, Any] = self.scope.get("state", {})
-        return state.get("caller")
 
     def require_text(self) -> None:
         """Refuse an address with NUL, which no text of a database holds."""

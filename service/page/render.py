@@ -69,6 +69,7 @@ class Figure:
 
 
 SHORT_DAYS = 10.0
+"""Fewer days are written with a digit behind the point."""
 
 
 @cache
@@ -81,7 +82,7 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters |= {"day": format_day, "moment": format_moment, "percent": format_percent, "scope": name_scope}
-    environment.filters["days"] = format_days
+    environment.filters["days"] = lambda days: f"{days:.1f}" if days < SHORT_DAYS else f"{days:.0f}"
     environment.filters |= {"short": lambda text: text[:10], "chance": write_chance, "change": write_change}
     environment.filters |= {
         "members": name_members,
@@ -136,11 +137,6 @@ def format_moment(instant: Instant) -> str:
 def format_percent(fraction: float | None, digits: int = 1) -> str:
     """Write a signed change in percent."""
     return "" if fraction is None else write_percent(fraction, digits)
-
-
-def format_days(days: float) -> str:
-    """A number of days with as many digits as say something."""
-    return f"{days:.1f}" if days < SHORT_DAYS else f"{days:.0f}"
 
 
 def name_scope(scope: Scope) -> str:

@@ -212,11 +212,6 @@ class Evidence:
     tilt: float | None = None
     curvature: float | None = None
 
-    @property
-    def leaves_size_open(self) -> bool:
-        """Whether it gave a date and no size."""
-        return self.date is not None and self.size is None
-
 
 @dataclass(frozen=True)
 class Decision:
@@ -468,11 +463,12 @@ class ChangeStore(Store):
         rest = tuple(path for path in found.paths if path[0] not in covered)
         numbers = [one.number for one in same]
         for one in same:
+            lasting = [(by.source, by.ref) for by in one.evidence if by.ended is None]
             if evidence.source == PERSON and found.has_all_of(one.change):
                 told = one.change.as_told(found)
                 own = replace(found, date=told.date, sigma=told.sigma).estimate
                 self.move(one.number, told, replace(evidence, **own))
-            elif not any(_says(by, evidence) for by in one.evidence):
+            elif (evidence.source, evidence.ref) not in lasting:
                 self._add_evidence(one.number, evidence)
         if rest or not same:
             row = to_row(replace(found, paths=rest), change, paths=json.dumps(rest), made_us=evidence.made)
@@ -537,8 +533,3 @@ def _choose(same: Sequence[KeptChange], date: Instant) -> list[KeptChange]:
         if not chosen or set(one.change.antennas) - held:
             chosen.append(one)
     return chosen
-
-
-def _says(one: Evidence, other: Evidence) -> bool:
-    """Whether a source says so already."""
-    return one.ended is None and (one.source, one.ref) == (other.source, other.ref)

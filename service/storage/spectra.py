@@ -114,7 +114,8 @@ class Arrivals:
         new = self._insert_spectra(rows)
         keys = list(zip(columns[1], spectra.station[order].tolist(), strict=True))
         is_far = np.isfinite(far[order])
-        _count(self._connection, Counter(_those(keys, new)), Counter(_those(keys, new & is_far)))
+        added, waits = (Counter(compress(keys, which.tolist())) for which in (new, new & is_far))
+        _count(self._connection, added, waits)
         if not np.all(new):
             self._require_same(spectra, order, rows)
         return Added(int(np.sum(new)), covariates, differing)
@@ -200,16 +201,13 @@ class Arrivals:
         covariates = _covariates_of_events(spectra, of_row, len(names))
         texts = [json.dumps(given) if given else None for given in covariates]
         self._insert("event", list(zip(names, times[first].tolist(), texts, strict=True)))
-        stored = self._stored_events(names)
+        rows = select_many(self._connection, select(event), event.c.event_id, names)
+        stored: dict[str, Any] = {row.event_id: row for row in rows}
         self._require_one_time(names, of_row, times, stored)
         told = self._add_covariates(
             {stored[name]: given for name, given in zip(names, covariates, strict=True) if given}
         )
         return np.array([stored[name].id for name in names], dtype=np.int64)[of_row], *told
-
-    def _stored_events(self, names: Sequence[str]) -> dict[str, Any]:
-        found = select_many(self._connection, select(event), event.c.event_id, names)
-        return {row.event_id: row for row in found}
 
     def _require_one_time(
         self, names: Sequence[str], of_row: NDArray[np.int64], times: NDArray[np.int64], stored: Mapping[str, Any]
@@ -305,10 +303,6 @@ def _covariates_of_events(spectra: Spectra, of_row: NDArray[np.int64], events: i
 def _parts(items: Sequence[Item]) -> Iterator[Sequence[Item]]:
     for start in range(0, len(items), _ROWS_AT_ONCE):
         yield items[start : start + _ROWS_AT_ONCE]
-
-
-def _those(items: Sequence[Item], which: NDArray[np.bool_]) -> Iterator[Item]:
-    return compress(items, which.tolist())
 
 
 def _count(connection: Connection, spectra: Mapping[OfStation, int], waiting: Mapping[OfStation, int]) -> None:

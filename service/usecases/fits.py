@@ -97,11 +97,6 @@ class Wanted:
         return cuts + [[*astuple(one)][: None if one.slow else -1] for one in self.taken_out]
 
     @property
-    def is_year(self) -> bool:
-        """Whether the window is a calendar year."""
-        return (self.since, self.until) == year_of(self.since)
-
-    @property
     def window(self) -> Window:
         """The window that is read: of the whole station where a path's model has causes of more than the path."""
         is_part = self.of.antenna is not None and not self.model.is_plain
@@ -198,7 +193,8 @@ class Fits:
         fit_of = read_fits(stores, of.station)
         for block in stores.sums.beside(scope, of, since, until):
             then = fit_of(scope, of, block.since, block.until)
-            if then.is_year and block.inputs == self._name_inputs(then):
+            is_year = (block.since, block.until) == year_of(block.since)
+            if is_year and block.inputs == self._name_inputs(then):
                 yield from read_pieces(block.arrays)
 
     def _find_behind(self, stores: Stores, station: Scope) -> dict[Owner, tuple[Floats, str]]:

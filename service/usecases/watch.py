@@ -203,7 +203,8 @@ def find_moved(
             lasting[kept.change.station, kept.change.kind].append(kept.change)
     for kept in on_record:
         own, spoken = kept.change, [by for by in kept.evidence if by.source == PERSON and by.ended is None]
-        if kept.ended is not None or not all(by.leaves_size_open for by in spoken):
+        is_size_open = all(by.date is not None and by.size is None for by in spoken)
+        if kept.ended is not None or not is_size_open:
             continue
         of_kind = found.get((own.station, own.kind), {})
         same = [one for one in of_kind if own.is_same(one)]
@@ -302,7 +303,11 @@ def tell_news(report: Mapping[str, Any], frequency_mhz: Floats, *, cuts_windows:
         )
         is_cut = cuts_windows and error <= LARGEST_DATE_ERROR_US
         sentence += f"; its windows are cut there{UNLESS}" if is_cut else ""
-        content = {**change, "proposal": _propose(change, format_instant(since))}
+        # what the instrument file would say if hardware changed then: refits cut their windows there
+        antennas = sorted({one["antenna"] for one in change["members"] if one["antenna"] is not None})
+        own, day = change["station"], format_instant(since)
+        proposal = [{"station": own, "antenna": antenna, "since": day} for antenna in antennas]
+        content = {**change, "proposal": proposal}
         yield News(STEP, Scope(change["station"]), "", sentence, content, since, error)
     for slope in report["slopes"]:
         if not slope["is_found"]:
@@ -321,9 +326,3 @@ def tell_news(report: Mapping[str, Any], frequency_mhz: Floats, *, cuts_windows:
     if whole is not None and whole["p_value"] < TREND_P:
         sentence = f"C of all paths changes by {write_change(whole['slope'], whole['sigma'])} a year"
         yield News(SLOPE, Scope(), "", sentence, {name: whole[name] for name in ("slope", "sigma", "limit_95")})
-
-
-def _propose(change: Mapping[str, Any], date: str) -> list[dict[str, Any]]:
-    """What the instrument file would say if hardware changed then: refits cut their windows there."""
-    antennas = sorted({one["antenna"] for one in change["members"] if one["antenna"] is not None})
-    return [{"station": change["station"], "antenna": antenna, "since": date} for antenna in antennas]
