@@ -15,12 +15,12 @@ from lbacal_core.curves.galcal import make_head
 from lbacal_core.errors import BadInputError, needing
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
+from lbacal_core.instrument.sidereal import DAY_S, JULIAN_DATE_OF_1970
 
 JONES = {"X": -5, "Y": -6}
 """AIPS numbers of the gains of linear feeds (AIPS memo 117)."""
 SUBBANDS, SUBBAND_MHZ = 512, 100.0 / 512
 """Sub-bands of a LOFAR station and their spacing, clock of 200 MHz, first Nyquist zone."""
-UNIX_EPOCH_JD, DAY_S = 2440587.5, 86_400.0
 
 
 def write_uvcal(content: Mapping[str, Any], instrument: Instrument, path: Path) -> None:
@@ -150,7 +150,7 @@ def _interval_jd(content: Mapping[str, Any], curves: list[dict[str, Any]]) -> tu
 
 
 def _to_jd(text: str) -> float:
-    return UNIX_EPOCH_JD + parse_instant("valid", text) / SECOND_US / DAY_S
+    return JULIAN_DATE_OF_1970 + parse_instant("valid", text) / SECOND_US / DAY_S
 
 
 def _require_at(content: Mapping[str, Any]) -> str:

@@ -15,6 +15,7 @@ from markupsafe import Markup, escape
 
 from lbacal.pages.chart import BAND, BARS, IMAGE, NARROW, POINTS, SPAN, Chart, Series
 from lbacal_core.grids import Floats
+from lbacal_core.instrument.sidereal import DAY_S
 
 LETTER, ROW = 6.6, 16.0
 """Width of a letter and height of a line of text in `figures.css`, 12 px."""
@@ -22,7 +23,6 @@ RIGHT, TOP, BOTTOM, FOR_COLOURS = 14.0, 10.0, 42.0, 64.0
 TICKS, APART = 5, 90
 """Steps along an axis, about; and the least distance between two dates."""
 DASHES = ("", ' stroke-dasharray="6 3"', ' stroke-dasharray="2 3"', ' stroke-dasharray="8 3 2 3"')
-DAY_S = 86_400.0
 DEPTH = {IMAGE: 0, SPAN: 1, BAND: 2}
 """What is drawn below everything else."""
 Place = tuple[float, float]

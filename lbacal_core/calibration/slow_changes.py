@@ -15,8 +15,8 @@ from numpy.polynomial import legendre
 
 from lbacal_core.calibration.spreads import ServedCurve
 from lbacal_core.grids import Floats
+from lbacal_core.instrument.sidereal import YEAR_S
 
-YEAR_S = 365.25 * 86_400.0
 POINTS = 365
 """Dates that stand for the events of a fit."""
 

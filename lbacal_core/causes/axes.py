@@ -14,6 +14,7 @@ import numpy as np
 from lbacal_core.causes.cause import RAIN, TEMPERATURE, Cause, Conditions, SizeRange, Template
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.chain import ChainTerms
+from lbacal_core.instrument.sidereal import DAY_S
 
 HARMONICS = 5
 """Number of harmonics of a day in LST or UTC; the sky has fewer (|m| <= 4 within 1 %)."""
@@ -23,7 +24,6 @@ POLYNOMIALS = 4
 """Degree of the Legendre polynomials of a covariate."""
 PERIODS_D = (7.0, 27.3, 29.53)
 """Days of a working week, of a solar rotation (Carrington, sidereal 25.4, synodic 27.3) and of a lunar month."""
-DAY_S = 86_400.0
 DATE = "date"
 """The axis on which nothing recurs."""
 TAILS = [0.01, 0.99]

@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.chain import ChainTerms, Intercepts, three_constants
+from lbacal_core.instrument.sidereal import YEAR_S
 from lbacal_core.linear import fit_least_squares
 from lbacal_core.sky.table import read_at
 
 # What is known of the events, the classes of paths and the instrument, for causes to act with.
 
-YEAR_S = 365.25 * 86_400.0
 TEMPERATURE, RAIN = "temperature_c", "rain_mm_h"
 REFERENCE_C = 10.0
 """Temperature from which causes count, to which C belongs where a model follows it: near the mean of the Superterp."""

@@ -12,7 +12,6 @@ from lbacal_core.causes.cause import (
     OF_HARDWARE,
     SCOPES,
     TEMPERATURE,
-    YEAR_S,
     Act,
     Cause,
     Conditions,
@@ -22,6 +21,7 @@ from lbacal_core.causes.cause import (
 )
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.chain import ChainTerms
+from lbacal_core.instrument.sidereal import YEAR_S
 
 NO_TEMPERATURE = f"no column {TEMPERATURE} that varies and is known on {FEWEST_KNOWN} events"
 

@@ -20,15 +20,14 @@ from typing import Any
 import numpy as np
 
 from lbacal_core.causes.antenna import DipoleSwap
-from lbacal_core.causes.axes import DAY_S
-from lbacal_core.causes.cause import BEYOND_SIGMA, RAIN, SCOPES, TEMPERATURE, YEAR_S, Cause, Conditions, Template
+from lbacal_core.causes.cause import BEYOND_SIGMA, RAIN, SCOPES, TEMPERATURE, Cause, Conditions, Template
 from lbacal_core.causes.chain import compress
 from lbacal_core.causes.sky import NO_DIRECTIONS, SOURCE_KEYS, PointSource, SolarEmission
 from lbacal_core.errors import BadInputError
 from lbacal_core.foreign import write_instant
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.chain import ChainTerms
-from lbacal_core.instrument.sidereal import SIDEREAL_DAY_S
+from lbacal_core.instrument.sidereal import DAY_S, SIDEREAL_DAY_S, YEAR_S
 
 SIDEREAL, SOLAR, WEEK, YEAR = "LST", "UTC", "week", "year"
 ROTATION, LUNATION = "solar rotation", "lunation"

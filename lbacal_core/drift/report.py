@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from lbacal_core.calibration.slow_changes import YEAR_S
 from lbacal_core.calibration.years import gain_modes
 from lbacal_core.drift.events import MODES
 from lbacal_core.drift.follow import Followed, History, Whole, measure_whole
 from lbacal_core.drift.search import Found
 from lbacal_core.grids import Floats
+from lbacal_core.instrument.sidereal import DAY_S, YEAR_S
 
 # Change points as they are reported: what jumped at one date in one station is one change, however many paths have it.
 #
@@ -25,7 +25,6 @@ from lbacal_core.grids import Floats
 
 SAME_DATE = 3.0
 """Standard deviations of the difference of two dates within which they are one."""
-DAY_S = 86_400.0
 BY_CHANCE = 10.0
 """So many times likelier than by chance are dates of two antennas that agree, when they are one: most are not."""
 

@@ -10,8 +10,9 @@ from lbacal_core.grids import Floats
 JULIAN_DATE_OF_1970 = 2_440_587.5
 """Julian date at which Unix time begins (1970-01-01 00:00 UTC)."""
 
-SIDEREAL_DAY_S = 86_164.0905
-"""Mean sidereal day, s."""
+DAY_S, SIDEREAL_DAY_S = 86_400.0, 86_164.0905
+"""Solar day and mean sidereal day, s."""
+YEAR_S = 365.25 * DAY_S
 
 
 def local_sidereal_time(time_unix: Floats, longitude_deg: float) -> Floats:
@@ -33,7 +34,7 @@ def local_sidereal_time(time_unix: Floats, longitude_deg: float) -> Floats:
     -------
     Shape (...), hours in [0, 24).
     """
-    days = np.asarray(time_unix, dtype=float) / 86_400.0
+    days = np.asarray(time_unix, dtype=float) / DAY_S
     greenwich = erfa.gmst06(JULIAN_DATE_OF_1970, days, JULIAN_DATE_OF_1970, days)
     return np.asarray((greenwich * (12.0 / np.pi) + longitude_deg / 15.0) % 24.0, dtype=float)
 
@@ -60,7 +61,7 @@ def sun_position(time_unix: Floats, latitude_deg: float, longitude_deg: float) -
     -------
     Altitude and azimuth (north through east), each of shape (event,), rad.
     """
-    days = np.asarray(time_unix) / 86_400.0
+    days = np.asarray(time_unix) / DAY_S
     earth_from_sun = erfa.plan94(JULIAN_DATE_OF_1970, days, EARTH)["p"]
     towards_sun = erfa.rxp(erfa.pmat06(JULIAN_DATE_OF_1970, days), -earth_from_sun)
     right_ascension, declination = erfa.c2s(towards_sun)

@@ -20,6 +20,7 @@ from lbacal_core.errors import BadInputError, reading
 from lbacal_core.foreign import parse_instant
 from lbacal_core.grids import Floats
 from lbacal_core.hdf5 import HDF5_FAILURES
+from lbacal_core.instrument.sidereal import DAY_S, JULIAN_DATE_OF_1970
 from lbacal_core.readers.source import Integrations, Source
 
 SUB_BANDS = 512
@@ -191,7 +192,6 @@ INSTRUMENT, DATA = 1, 7
 """Numbers of the extensions."""
 WIDTH_MHZ = 0.1953125
 SECOND = 1.0
-DAY_S, UNIX_EPOCH_JD = 86_400.0, 2440587.5
 STATION = "NenuFAR"
 FAILURES = (OSError, ValueError, TypeError, KeyError, IndexError, AttributeError)
 """What astropy raises on broken files."""
@@ -206,7 +206,7 @@ def open_mini_arrays(path: Path, station: str | None = None) -> Source:
         frequency = np.asarray(facts["frq"][0], dtype=float)
         antennas = np.asarray(facts["noMROn"][0], dtype=np.int64)
         letters = np.array([str(name).strip() for name in np.atleast_1d(facts["spol"][0])])
-        time = (np.asarray(rows["JD"], dtype=float) - UNIX_EPOCH_JD) * DAY_S
+        time = (np.asarray(rows["JD"], dtype=float) - JULIAN_DATE_OF_1970) * DAY_S
         shape = rows["data"].shape
     expected = (time.size, antennas.size, letters.size, frequency.size)
     if shape != expected or time.size == 0:

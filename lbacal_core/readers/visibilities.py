@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 
 from lbacal_core.errors import BadInputError, MissingExtraError, needing, reading
+from lbacal_core.instrument.sidereal import DAY_S, JULIAN_DATE_OF_1970
 from lbacal_core.readers.source import Integrations, Source
 
 SUFFIXES = (".uvh5", ".uvfits")
 TIMES_AT_ONCE = 32
 _LETTERS = {-5: "X", -6: "Y"}
 """AIPS numbers of the linear autocorrelations XX and YY (AIPS memo 117)."""
-UNIX_EPOCH_JD = 2440587.5
-DAY_S = 86_400.0
 
 
 def is_measurement_set(path: Path) -> bool:
@@ -101,4 +100,4 @@ def _read(
         power[at, row] = measured.swapaxes(1, 2)
         length = np.zeros(wanted.size)
         length[at] = data.integration_time
-        yield Integrations((wanted - UNIX_EPOCH_JD) * DAY_S, length, power.reshape(wanted.size, -1, order.size))
+        yield Integrations((wanted - JULIAN_DATE_OF_1970) * DAY_S, length, power.reshape(wanted.size, -1, order.size))

@@ -31,7 +31,7 @@ from lbacal_core.instrument.chain import (
     noise_constants,
 )
 from lbacal_core.instrument.instrument import Instrument, load_instrument
-from lbacal_core.instrument.sidereal import SIDEREAL_DAY_S, local_sidereal_time
+from lbacal_core.instrument.sidereal import DAY_S, SIDEREAL_DAY_S, local_sidereal_time
 from lbacal_core.provenance import Remembered, hash_content
 from lbacal_core.simulation.prior import DEFAULT_SKY_BUDGET, SkyPrior, list_changes, sky_prior
 from lbacal_core.sky.differences import DifferenceModels, ModelDifferences, compute_model_differences
@@ -39,7 +39,7 @@ from lbacal_core.sky.power import compute_sky_power
 from lbacal_core.sky.sky_terms import SkyTerm
 from lbacal_core.sky.table import SHORTEST_SMEARED_H, SkyPower
 from lbacal_core.spectra.blocks import Recorded
-from lbacal_core.spectra.spectra import BLOCK_S, DAY_S
+from lbacal_core.spectra.spectra import BLOCK_S
 
 SIDEREAL_HOUR_S = SIDEREAL_DAY_S / 24
 LARGEST_UNLIKE_H2 = 0.9

@@ -19,6 +19,7 @@ from lbacal_core.errors import BadInputError, UnreadableFileError, reading
 from lbacal_core.foreign import write_instant
 from lbacal_core.grids import Floats, guess_widths, require_channels, require_same_grid
 from lbacal_core.instrument.antennas import EXPECTED, are_dipole_names
+from lbacal_core.instrument.sidereal import DAY_S
 from lbacal_core.provenance import hash_arrays, hash_content
 
 FORMAT = "lbacal-spectra-1"
@@ -26,7 +27,6 @@ EARLIEST_UNIX = datetime(2009, 1, 1, tzinfo=UTC).timestamp()
 FAR_UNIX = 1e11
 """An instant beyond this, in the year 5138, is told as a number, s UTC."""
 NO_SPECTRA = "expected a spectra file (HDF5), found something unreadable"
-DAY_S = 86_400.0
 BLOCK_S = 1024 / 200e6
 """Length of a block of LOFAR's transient buffer (1024 samples at 200 MHz), the unit of `blocks` in a spectra file."""
 WIDEST_OF_SPACING = 10

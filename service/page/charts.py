@@ -36,7 +36,7 @@ from lbacal_core.curves.validity import Instant
 from lbacal_core.errors import BadInputError, name_path
 from lbacal_core.grids import WITHIN_1_SIGMA, Floats
 from service.storage.changes import KeptChange
-from service.usecases.drift import DriftSeries, MonthPoint, VersionPoint
+from service.usecases.drift import HALF_A_MONTH_S, DriftSeries, MonthPoint, VersionPoint
 from service.usecases.life import Life
 from service.usecases.status import StationState
 
@@ -87,7 +87,6 @@ EVERYTHING = Span()
 
 # The charts.
 
-HALF_A_MONTH = 15 * 86_400
 PERCENT = 100.0
 LANES = ("in effect", "versions", "changes", "causes", "alarms", "investigations")
 ROW, FOR_AXIS = 18, 70
@@ -191,7 +190,7 @@ def _draw_months(
 ) -> Iterator[Series]:
     name = name_path(*one.scope.parts)
     months: list[MonthPoint] = [month for month in one.months if span.has(month.month)]
-    at = [month.month / SECOND_US + HALF_A_MONTH for month in months]
+    at = [month.month / SECOND_US + HALF_A_MONTH_S for month in months]
     low, middle, high = ([getattr(month, part) for month in months] for part in ("low", "c_ratio", "high"))
     titles = [
         f"{name} {format_instant(m.month)[:7]}: {m.c_ratio:.4f}, {m.low:.4f} to {m.high:.4f} "
@@ -300,7 +299,7 @@ def draw_environment(
     """
     charts = {}
     for name, months in list(found.items())[:MOST_COVARIATES]:
-        at = [month / SECOND_US + HALF_A_MONTH for month, _ in months]
+        at = [month / SECOND_US + HALF_A_MONTH_S for month, _ in months]
         middle = [float(values.mean()) for _, values in months]
         low, high = zip(*(np.percentile(values, WITHIN_1_SIGMA) for _, values in months), strict=True)
         titles = [

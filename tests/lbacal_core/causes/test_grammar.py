@@ -7,7 +7,7 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 import pytest
 
-from lbacal_core.causes.axes import DAY_S, list_axes
+from lbacal_core.causes.axes import list_axes
 from lbacal_core.causes.cause import Template, signature
 from lbacal_core.causes.grammar import (
     COURSES,
@@ -39,6 +39,7 @@ from lbacal_core.causes.grammar import (
 from lbacal_core.causes.model import AdoptedCause, Model, follows_date
 from lbacal_core.causes.sky import SOURCE_KEYS
 from lbacal_core.errors import BadInputError
+from lbacal_core.instrument.sidereal import DAY_S
 
 SENTENCE = Sentence()
 

@@ -6,7 +6,6 @@ from lbacal_core.drift.model import (
     SEASON_PRIOR,
     SLOPE,
     STEPS,
-    YEAR_S,
     Lasting,
     Terms,
     correlate_modes,
@@ -22,6 +21,7 @@ from lbacal_core.drift.model import (
     score_steps,
     smooth_columns,
 )
+from lbacal_core.instrument.sidereal import YEAR_S
 
 MONTHS = 60
 TIME = np.arange(MONTHS) * YEAR_S / 12

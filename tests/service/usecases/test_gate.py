@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lbacal_core.calibration.slow_changes import YEAR_S, SlowChange
+from lbacal_core.calibration.slow_changes import SlowChange
 from lbacal_core.curves.curves import CONVERGED, TOO_FEW_EVENTS, CalibrationCurve
 from lbacal_core.curves.reference_chain import CableTable, ReferenceChain
 from lbacal_core.curves.validity import Promotion, Scope
+from lbacal_core.instrument.sidereal import YEAR_S
 from service.factory import Factory
 from service.storage.changes import STEP, Change, Cut, Decision, Evidence, KeptChange
 from service.storage.models import Announced, ModelChange
