@@ -80,12 +80,7 @@ def _points(hours: Floats, values: Floats, error: Floats | float, words: str, na
 
 def draw_ranking(found: CurveInvestigation) -> Chart:
     """Chi^2 of every cause by itself, and of the sets that the data cannot exclude."""
-    shown = [*{fit.labels: fit for fit in (found.last, *found.open, *found.single) if fit.choices}.values()]
-    are_open = {fit.labels for fit in found.open}
-    standing = [
-        "named" if fit.labels == found.last.labels else "not excluded" if fit.labels in are_open else "excluded"
-        for fit in shown
-    ]
+    shown, standing = zip(*found.hypotheses, strict=True)
     series = []
     for words, colour in (("named", RED), ("not excluded", ORANGE), ("excluded", BLUE)):
         at = [k for k, one in enumerate(standing) if one == words]

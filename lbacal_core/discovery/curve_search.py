@@ -44,26 +44,6 @@ from lbacal_core.sky.differences import FULL_MAPS, model_difference_modes
 
 
 @dataclass(frozen=True)
-class CurveRival:
-    """The last fit with another cause in the place of one that was found.
-
-    Attributes
-    ----------
-    cause
-        Identifier of the other cause.
-    correlation
-        Correlation of the two signatures at the sizes found.
-    is_excluded
-        Whether the data exclude it.
-    """
-
-    cause: str
-    fit: CurveFit
-    correlation: float
-    is_excluded: bool
-
-
-@dataclass(frozen=True)
 class CurveFinding:
     """A cause that was found: the fit without it, and with it replaced by each other cause.
 
@@ -73,14 +53,19 @@ class CurveFinding:
         Index of the cause in the last fit.
     rivals
         Every other cause in its place, best first.
+    open
+        The last fit with each that the data do not exclude in its place.
+    indistinguishable
+        Other causes among these, with the correlation of the two signatures at the sizes found.
     z
         Standard deviations before the look-elsewhere correction.
     """
 
-    choice: Choice
     place: int
     without: CurveFit
-    rivals: list[CurveRival]
+    rivals: list[Rival]
+    open: list[CurveFit]
+    indistinguishable: dict[str, float]
     z: float
     p_value: float
     held_out_gain: float
@@ -118,8 +103,17 @@ class CurveInvestigation:
     @property
     def open(self) -> list[CurveFit]:
         """Sets that the data leave open beside the one named: one of its causes is replaced by another, best first."""
-        rivals = [rival.fit for finding in self.findings for rival in finding.rivals if not rival.is_excluded]
-        return sorted(rivals, key=lambda fit: fit.chi2)
+        return sorted((fit for finding in self.findings for fit in finding.open), key=lambda fit: fit.chi2)
+
+    @property
+    def hypotheses(self) -> list[tuple[CurveFit, str]]:
+        """Every set of causes with its standing: the one named, those left open, and single causes."""
+        are_open, last = {fit.labels for fit in self.open}, self.last.labels
+        every = {fit.labels: fit for fit in (self.last, *self.open, *self.single) if fit.choices}
+        return [
+            (fit, "named" if labels == last else "not excluded" if labels in are_open else "excluded")
+            for labels, fit in every.items()
+        ]
 
 
 def investigate_curve(
@@ -231,21 +225,22 @@ class _Search:
         without = self.fitter.fit(others, start=dict(zip(last.labels, last.sizes.tolist(), strict=True)))
         own = self.fitter.signature(without, last)
         separable = (without.chi2 - last.chi2) / last.scale
-        rivals = []
+        rivals, still_open, alike = list[Rival](), list[CurveFit](), dict[str, float]()
         for fit in self.extended(without):
-            (new,) = set(fit.labels) - set(without.labels)
-            if new == choice.label:
+            (new,) = (one for one in fit.choices if one.label not in without.labels)
+            if new.label == choice.label:
                 continue
             other = self.fitter.signature(without, fit)
             scale = float(np.sqrt((own @ own) * (other @ other)))
             r = float(own @ other) / scale if scale > 0 else 0.0
-            is_excluded = (
-                min((fit.chi2 - last.chi2) / last.scale, separable * (1 - r**2)) >= self.policy.indistinguishable
-            )
-            rivals.append(CurveRival(fit.choices[fit.labels.index(new)].cause.identifier, fit, r, is_excluded))
+            rival = Rival(new.cause.identifier, "curve", (fit.chi2 - last.chi2) / last.scale)
+            rivals.append(rival)
+            if min(rival.delta_chi2, separable * (1 - r**2)) < self.policy.indistinguishable:
+                still_open.append(fit)
+                alike |= {rival.cause: r} if rival.cause != choice.cause.identifier else {}
         z, p_value = self.p_value(without, last)
         gain = self.fitter.held_out_gain(without, last)
-        return CurveFinding(choice, place, without, rivals, z, p_value, gain)
+        return CurveFinding(place, without, rivals, still_open, alike, z, p_value, gain)
 
 
 # The report of an LST curve as JSON values: the fields of docs/formats/investigation-report.md.
@@ -261,7 +256,6 @@ def describe_curve(found: CurveInvestigation, provenance: Provenance) -> dict[st
     is_left = found.structure_p < found.policy.structure_alpha
     verdict = UNEXPLAINED if is_left else EXPLAINED if found.findings else CONSISTENT
     findings = [_finding(found, finding) for finding in found.findings]
-    shown = {fit.labels: fit for fit in (last, *found.open, *found.single) if fit.choices}
     return {
         "verdict": verdict,
         "sentence": _summary(found, verdict),
@@ -277,7 +271,7 @@ def describe_curve(found: CurveInvestigation, provenance: Provenance) -> dict[st
             "per_point_after": last.per_point,
             "scale": last.scale,
         },
-        "hypotheses": [_hypothesis(found, fit) for fit in shown.values()],
+        "hypotheses": [_hypothesis(found, *one) for one in found.hypotheses],
         "scores": [
             {"cause": fit.labels[0], "chi2_gain": first.chi2 - fit.chi2, "size": float(fit.sizes[0])}
             for fit in found.single
@@ -357,12 +351,11 @@ def _noise(found: CurveInvestigation) -> dict[str, Any]:
 
 def _finding(found: CurveInvestigation, finding: CurveFinding) -> dict[str, Any]:
     last, place = found.last, finding.place
-    cause, one = finding.choice.cause, _cause(last, place)
+    cause, one = last.choices[place].cause, _cause(last, place)
     change = found.fitter.calibration_change(finding.without, last)
-    others = {r.cause: r.correlation for r in finding.rivals if not r.is_excluded and r.cause != cause.identifier}
     told = tell_finding(
         cause,
-        indistinguishable=list(others.items()),
+        indistinguishable=list(finding.indistinguishable.items()),
         size=(one["size"]["value"], one["size"]["sigma"]),
         parameters=one["parameters"],
         chance=(sigma_of(finding.p_value), finding.p_value),
@@ -379,23 +372,19 @@ def _finding(found: CurveInvestigation, finding: CurveFinding) -> dict[str, Any]
         evidence={
             "score_sigma": finding.z,
             "trials": found.trials,
-            "correlations": others,
+            "correlations": finding.indistinguishable,
             "note": BY_RATIO if cause.acts_by_ratio else "",
-            "rivals": [
-                Rival(one.cause, "curve", (one.fit.chi2 - last.chi2) / last.scale).as_dict() for one in finding.rivals
-            ],
+            "rivals": [one.as_dict() for one in finding.rivals],
         },
     )
     return {**told, "calibration_change": {**told["calibration_change"], **_change(found, change)}}
 
 
-def _hypothesis(found: CurveInvestigation, fit: CurveFit) -> dict[str, Any]:
+def _hypothesis(found: CurveInvestigation, fit: CurveFit, standing: str) -> dict[str, Any]:
     """One set of causes with its fit and its change of C(nu)."""
-    is_named = fit.labels == found.last.labels
-    is_open = any(fit.labels == one.labels for one in found.open)
     return {
         "causes": [_cause(fit, place) for place in range(len(fit.choices))],
-        "standing": "named" if is_named else "not excluded" if is_open else "excluded",
+        "standing": standing,
         "chi2": fit.chi2,
         "dof": fit.dof,
         "chi2_per_point": fit.per_point,
