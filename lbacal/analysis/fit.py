@@ -43,8 +43,9 @@ from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.discovery.forward import divide_out
 from lbacal_core.drift.events import measure_spectra
 from lbacal_core.drift.follow import History, follow
+from lbacal_core.drift.members import name_members, split_by_size
 from lbacal_core.drift.report import describe_followed
-from lbacal_core.errors import BadInputError, require_name, write_change
+from lbacal_core.errors import BadInputError, require_name, write_percent
 from lbacal_core.foreign import write_instant
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.pipeline import calibrate
@@ -280,18 +281,14 @@ def _describe_changes(report: FitReport, spectra: Spectra, simulation: Simulatio
     modes = measure_spectra(spectra, lambda station, dipole: references[station, dipole], simulation)
     history = History.of(modes, {})
     found = describe_followed(history, follow(history), spectra.frequency_mhz)
-    for step in found["changes"]:
-        members = ", ".join(map(_name_path, step["members"]))
-        size, date = write_change(step["size"], step["sigma"]), write_instant(step["date_unix"])[:10]
-        days = f"{step['date_sigma_days']:.0f} days"
-        yield f"{step['station']} {members}: C steps by {size} about {date} ± {days}, and C is that of the mean"
-    for slope in (one for one in found["slopes"] if one["is_found"]):
-        size = write_change(slope["slope"], slope["sigma"])
-        yield f"{slope['station']} {_name_path(slope)}: C changes by {size} a year beside the others"
-
-
-def _name_path(one: Mapping[str, Any]) -> str:
-    return str(one["dipole"]) if one["antenna"] is None else f"antenna {one['antenna']} {one['dipole']}"
+    for step in (one for change in found["changes"] for one in split_by_size(change)):
+        members = name_members(step["members"], FEWEST_PATHS)
+        size, date = write_percent(step["members"][0]["size"], 0), write_instant(step["date_unix"])[:10]
+        days = f"{max(step['date_sigma_days'], 1.0):.0f} d"
+        yield f"{step['station']} {members}: C steps by about {size} at {date} ± {days}, and C is that of the mean"
+    for one in (one for one in found["slopes"] if one["is_found"]):
+        size = write_percent(one["slope"], 0)
+        yield f"{one['station']} {name_members([one], 1)}: C is not steady: about {size} a year, or steps"
 
 
 def _describe_chain(chain: ReferenceChain) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 from lbacal_core.calibration.years import gain_modes
 from lbacal_core.drift.events import MODES
 from lbacal_core.drift.follow import Followed, History, Whole, measure_whole
+from lbacal_core.drift.members import SAME_DATE
 from lbacal_core.drift.search import Found
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.sidereal import DAY_S, YEAR_S
@@ -23,8 +24,6 @@ from lbacal_core.instrument.sidereal import DAY_S, YEAR_S
 # gives it its date and size. Both dipoles of an antenna are joined first: a small step, whose date is known to months,
 # agrees with that of many another antenna by chance.
 
-SAME_DATE = 3.0
-"""Standard deviations of the difference of two dates within which they are one."""
 BY_CHANCE = 10.0
 """So many times likelier than by chance are dates of two antennas that agree, when they are one: most are not."""
 

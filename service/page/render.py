@@ -16,11 +16,12 @@ from lbacal.instants import format_instant
 from lbacal.pages.chart import Chart
 from lbacal.pages.finding import FILTERS
 from lbacal_core.curves.validity import Instant, Scope
+from lbacal_core.drift.members import name_members, split_by_size
 from lbacal_core.errors import name_path, write_chance, write_change, write_percent
 from service.errors import NotFoundError
 from service.page import charts
 from service.page.charts import EVERYTHING
-from service.usecases.gate import name_members, split_by_size, tell_shapes, tell_size
+from service.usecases.gate import tell_shapes, tell_size
 
 # Files of the page under names that hold their hash: a browser may keep them for ever, and never shows an old one.
 

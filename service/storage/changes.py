@@ -21,6 +21,7 @@ from sqlalchemy import Select, func, or_, select, true, update
 from lbacal.instants import DAY_US, SECOND_US, format_instant
 from lbacal_core.calibration.slow_changes import SlowChange, spread_over_band
 from lbacal_core.curves.validity import Instant, Scope
+from lbacal_core.drift.members import SAME_DATE
 from lbacal_core.errors import name_path
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.antennas import AntennaRecord
@@ -31,8 +32,6 @@ KINDS = STEP, RAMP, SEASON, COURSE = "step", "ramp", "season", "course"
 DRIFT, INVESTIGATION, RECORD, PERSON = "drift", "investigation", "record", "person"
 PROPOSED, IN_FORCE, DISMISSED = "proposed", "in_force", "dismissed"
 NOT_REFITTED = "found, not yet refitted"
-SAME_DATE = 3.0
-"""Standard deviations of the difference of two dates within which they are one."""
 MOVED_DATE = 2.0
 """Standard deviations by which a date moves: each move cuts windows anew."""
 LARGEST_DATE_ERROR_US = 90 * DAY_US

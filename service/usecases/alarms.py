@@ -19,6 +19,7 @@ from lbacal.instants import DAY_US, SECOND_US, format_instant, parse_instant
 from lbacal_core.causes.model import Model
 from lbacal_core.curves.curves import OK
 from lbacal_core.curves.validity import Instant, Promotion, Scope
+from lbacal_core.drift.members import name_members
 from lbacal_core.errors import BadInputError, name_path, write_count
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.spectra.screening import LASTING_EVENTS
@@ -50,7 +51,6 @@ from service.storage.processes import SCHEDULER
 from service.storage.spectra import Window
 from service.storage.versions import Summary, Version
 from service.usecases.drift import year_of
-from service.usecases.gate import name_members
 from service.usecases.retractions import find_retracted
 from service.usecases.watch import MEMBERS_NAMED, UNLESS, read_changes
 from service.wire.bodies import AcknowledgementBody

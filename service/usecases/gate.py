@@ -26,7 +26,7 @@ from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.errors import BadInputError, write_change, write_percent
 from lbacal_core.grids import Floats, require_same_grid
-from service.storage.changes import RAMP, SAME_DATE, Change, Cut, KeptChange
+from service.storage.changes import RAMP, Change, Cut, KeptChange
 from service.storage.database import Stores
 from service.storage.models import ModelChange
 from service.storage.versions import OF_OTHERS, OF_SIMULATION, Version, mean_over_band
@@ -160,33 +160,6 @@ Shape = Mapping[str, Mapping[str, float]]
 class _Part:
     significance: float
     words: str
-
-
-def split_by_size(change: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Split a change into those of one size: both polarisations of an antenna are one, and others whose sizes agree.
-
-    The shape is that of the most significant member, in the first; the others have none.
-    """
-    groups: list[list[Mapping[str, Any]]] = []
-    for member in change["members"]:
-        own = next((group for group in groups if _is_of_one_size(group[0], member)), None)
-        groups.append([member]) if own is None else own.append(member)
-    first, *others = ({**change, **group[0], "members": group} for group in groups)
-    return [first, *({**one, "shape": {}} for one in others)]
-
-
-def _is_of_one_size(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-    reach = SAME_DATE * math.hypot(one["sigma"], other["sigma"])
-    return bool(one["antenna"] == other["antenna"] or abs(one["size"] - other["size"]) <= reach)
-
-
-def name_members(members: Sequence[Mapping[str, Any]], most: int) -> str:
-    """Name the members of a station that changed: paths, and polarisations as a whole."""
-    named = [
-        f"all {one['dipole']}" if one["antenna"] is None else f"antenna {one['antenna']} {one['dipole']}"
-        for one in members[:most]
-    ]
-    return ", ".join(named) + (f" and {len(members) - most} more" if len(members) > most else "")
 
 
 def tell_change(mean: float, sigma: float, shape: Shape, frequency_mhz: Floats) -> str:

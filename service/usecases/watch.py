@@ -19,6 +19,7 @@ import numpy as np
 from lbacal.instants import DAY_US, SECOND_US, format_instant
 from lbacal_core.calibration.windows import find_hardware_changes
 from lbacal_core.curves.validity import Instant, Scope
+from lbacal_core.drift.members import name_members, split_by_size
 from lbacal_core.errors import name_path, write_change
 from lbacal_core.grids import Floats
 from lbacal_core.instrument.instrument import Instrument
@@ -31,7 +32,7 @@ from service.storage.database import Database, Stores
 from service.storage.jobs import Part
 from service.storage.spectra import EVENT_SPAN_US, Window
 from service.storage.sums import DRIFT, Sums
-from service.usecases.gate import PLAIN, name_members, split_by_size, tell_change
+from service.usecases.gate import PLAIN, tell_change
 
 if TYPE_CHECKING:
     from lbacal_core.drift.follow import History

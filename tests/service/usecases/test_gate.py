@@ -11,12 +11,13 @@ from lbacal_core.calibration.slow_changes import SlowChange
 from lbacal_core.curves.curves import CONVERGED, TOO_FEW_EVENTS, CalibrationCurve
 from lbacal_core.curves.reference_chain import CableTable, ReferenceChain
 from lbacal_core.curves.validity import Promotion, Scope
+from lbacal_core.drift.members import name_members
 from lbacal_core.instrument.sidereal import YEAR_S
 from service.factory import Factory
 from service.storage.changes import STEP, Change, Cut, Decision, Evidence, KeptChange
 from service.storage.models import Announced, ModelChange
 from service.storage.versions import Version
-from service.usecases.gate import Gate, find_announced, find_predecessors, name_members, tell_change, tell_shapes
+from service.usecases.gate import Gate, find_announced, find_predecessors, tell_change, tell_shapes
 from tests.service.conftest import instant, new_version
 
 GATE = Gate(change=0.1, error=0.05, coverage=0.4, band=0.7)
