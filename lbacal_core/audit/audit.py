@@ -95,19 +95,24 @@ def audit(
         """Not computed where no station needs them."""
         return load_models(instrument, mean_frequencies(spectra.frequency_mhz), sky, antenna, others)
 
-    return _audit(stations, instrument, models)
+    return _audit(stations, stations, instrument, models)
 
 
 def _audit(
-    stations: Sequence[AuditedStation], instrument: Instrument, models: Callable[[], SkyModels] | None
+    stations: Sequence[AuditedStation],
+    whole: Sequence[AuditedStation],
+    instrument: Instrument,
+    models: Callable[[], SkyModels] | None,
 ) -> AuditReport:
+    """Audit stations, of which `whole` has all events: dates are looked for in these."""
     lines: list[Line] = []
     with warnings.catch_warnings():
         # nothing recorded
         warnings.filterwarnings("ignore", "All-NaN|Mean of empty|Degrees of freedom", RuntimeWarning)
-        for station in stations:
+        for station, of_all_events in zip(stations, whole, strict=True):
             lines += [*find_empty_channels(station), *find_copies(station)]
-            lines += _audit_station(station, instrument.at_station(station.name), models)
+            own = _audit_station(station, instrument.at_station(station.name), models)
+            lines += own if any(_is_no_power(line) for line in own) else [*own, *find_moved(of_all_events)]
     return AuditReport(lines, stations)
 
 
@@ -125,9 +130,9 @@ def _audit_station(
     is_off = find_ill_paths(station, as_recorded)[1].any(axis=1)
     working = np.flatnonzero(~is_off)
     of_unit = tell_unit(station, working, instrument)
-    if any(line.verdict == WRONG for line in of_unit):
+    if any(map(_is_no_power, of_unit)):
         return of_unit  # what else would be compared is no power
-    steps = [*find_steps(station, working), *find_moved(station, working)]
+    steps = find_steps(station, working)
     wrong_cables, found = find_wrong_cables(station, as_recorded, instrument)
     station = station.with_cables(found, instrument)
     comparison = compare_paths(station)
@@ -138,9 +143,13 @@ def _audit_station(
         exchanged = tell_exchanged(station, compare_polarisations(station, is_usable))
         return [*of_unit, *steps, *ill, *wrong_cables, *exchanged]
     asked = _ask_sky(SkyMatch(station, instrument, models), is_usable)
-    if any(line.check == "unit" and line.verdict == WRONG for line in asked):
+    if any(map(_is_no_power, asked)):
         return asked
     return [*steps, *ill, *wrong_cables, *asked]
+
+
+def _is_no_power(line: Line) -> bool:
+    return line.check == "unit" and line.verdict == WRONG
 
 
 def _ask_sky(match: SkyMatch, is_usable: NDArray[np.bool_]) -> list[Line]:
@@ -150,7 +159,7 @@ def _ask_sky(match: SkyMatch, is_usable: NDArray[np.bool_]) -> list[Line]:
     if others.size and match.gain_of_exchange(most) > match.gain_of_exchange(others):
         exchange, most = exchange.flipped(), others
     of_sky = match.tell(most)
-    if any(line.check == "unit" and line.verdict == WRONG for line in of_sky):
+    if any(map(_is_no_power, of_sky)):
         return of_sky
     return [*tell_exchanged(match.station, exchange), *of_sky]
 
@@ -228,7 +237,9 @@ def audit_quickly(spectra: Spectra, instrument: Instrument) -> QuickAudit:
     if chosen.size == 0:
         return QuickAudit(AuditReport((), ()))
     stations = tuple(split_stations(spectra.select(np.sort(chosen)), instrument))
-    return QuickAudit(_audit(stations, instrument, None))
+    compared = {one.name for one in stations}
+    whole = tuple(one for one in split_stations(spectra, instrument) if one.name in compared)
+    return QuickAudit(_audit(stations, whole, instrument, None))
 
 
 def _choose_rows(spectra: Spectra, station: str) -> NDArray[np.int64]:

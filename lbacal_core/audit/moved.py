@@ -1,63 +1,158 @@
-"""Antennas that change places on a date: from then on each records what the other did before."""
+"""Antennas that change places on a date: from then on each records what another did before."""
 
 from __future__ import annotations
 
-from itertools import combinations
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
 
-from lbacal_core.audit.antennas import CERTAIN, DATE_SIGMA, FEWEST_BESIDE, OUTLYING, SMALLEST_SPREAD, find_edge
+from lbacal_core.audit.antennas import CERTAIN, DATE_SIGMA, FEWEST_BESIDE, OUTLYING, SMALLEST_SPREAD, Edge, find_edge
 from lbacal_core.audit.station import AuditedStation, spread
 from lbacal_core.audit.verdict import WRONG, Line
+from lbacal_core.drift.model import FEWEST_COMPANIONS, MONTH_S
 from lbacal_core.grids import Floats
 
 MOVED = "antennas exchanged"
 
 
-def find_moved(station: AuditedStation, rows: NDArray[np.int64]) -> list[Line]:
-    """Pairs of antennas, among these rows, of which each has the level and slope of the other since a date.
+@dataclass(frozen=True)
+class Circle:
+    """Antennas, by their rows: since a date each records what the next one did; and for which dipoles."""
 
-    Both are those of ln P along frequency over the median antenna's, which does not care who is who. That they change
-    places is held against no change, and against steps of any size, to the factor of an outlying path, of both.
+    rows: tuple[int, ...]
+    dipoles: tuple[int, ...]
+    odds: float
+    since: Edge
+    until: Edge | None = None
+
+    def ends(self, other: Circle) -> bool:
+        """Whether it puts back what another, earlier one exchanged."""
+        back = (other.rows[0], *other.rows[:0:-1])
+        return other.until is None and self.dipoles == other.dipoles and self.rows == back
+
+
+def find_moved(station: AuditedStation) -> list[Line]:
+    """Antennas of which each has the level and slope of another since a date, for a time, or of one dipole alone.
+
+    Both are those of ln P along frequency over the median antenna's, which does not care who is who, in a month before
+    a date and after it. That antennas change places is held against no change, against a step of each, of any size to
+    the factor of an outlying path, and against drifts, whose steps are as large half a month before and after.
     """
-    power = np.log(station.power[rows])
+    if station.antennas.size < FEWEST_COMPANIONS:
+        return []
+    power = np.log(station.power)
     power = power - np.nanmedian(power, axis=0)
     along = np.linspace(-0.5, 0.5, power.shape[-1])
-    level, slope = power.mean(axis=-1), (power * along).sum(axis=-1) / np.sum(along**2)
-    seen = np.concatenate([level, slope], axis=1)  # (antenna, level and slope of each dipole, time)
-    known = np.isfinite(seen).all(axis=1)
-    stepped = [a for a in range(rows.size) if _odds_of_steps(seen[a][:, known[a]])[0].max(initial=0.0) > CERTAIN]
-    found = []
-    for a, b in combinations(stepped, 2):
-        both = np.flatnonzero(known[a] & known[b])
-        one, other = seen[a][:, both], seen[b][:, both]
-        odds, splits, scatter = _odds_of_steps(one - other)
-        if splits.size == 0:
-            continue
-        k = int(np.argmax(odds))
-        is_late = np.arange(both.size) >= splits[k]
-        error = np.hypot(scatter * (1 / np.sum(is_late) + 1 / np.sum(~is_late)) ** 0.5, SMALLEST_SPREAD)
-        was, became = (np.stack([y[:, own].mean(axis=1) for y in (one, other)]) for own in (~is_late, is_late))
-        steps, misses = became - was, became - was[::-1]
-        chance = np.log(splits.size * rows.size * (rows.size - 1) / 2)
-        over_none = 0.5 * np.sum((steps**2 - misses**2) / error**2) - chance
-        over_steps = np.sum(np.log(OUTLYING / error) - 0.5 * (misses / error) ** 2) - np.log(rows.size - 1)
-        if min(over_none, over_steps) > CERTAIN:
-            edge = find_edge(station.time_unix[both], splits[k], splits[odds >= odds[k] - DATE_SIGMA**2 / 2])
-            antennas = (int(station.antennas[rows[a]]), int(station.antennas[rows[b]]))
-            sentence = f"antennas {antennas[0]} and {antennas[1]} change places since {edge}"
-            gain = float(min(over_none, over_steps))
-            line = Line(MOVED, WRONG, station.name, sentence, antennas, None, gain, kind=MOVED, since_unix=edge.at)
-            found.append(line)
-    return found
+    seen = np.stack([power.mean(axis=-1), (power * along).sum(axis=-1) / np.sum(along**2)], axis=2)
+    every = tuple(range(len(station.dipoles)))
+    tried = dict.fromkeys((every, *((one,) for one in every)))
+    found = [one for dipoles in tried for one in _put_back(seen, list(dipoles), station.time_unix)]
+    told: list[Circle] = []
+    for one in sorted(found, key=lambda own: own.since.at):
+        begun = next((own for own in told if one.ends(own)), None)
+        if begun is None:
+            told.append(one)
+        else:
+            told[told.index(begun)] = replace(begun, until=one.since, odds=min(one.odds, begun.odds))
+    return [_tell(station, one) for one in told]
 
 
-def _odds_of_steps(values: Floats) -> tuple[Floats, NDArray[np.int64], Floats]:
-    """Log odds of a step of values of shape (value, time) by the number of instants before it, that, and scatter."""
-    total, count = np.cumsum(values, axis=1), values.shape[1]
-    splits = np.arange(FEWEST_BESIDE, count - FEWEST_BESIDE + 1)
-    before, after = total[:, splits - 1] / splits, (total[:, -1:] - total[:, splits - 1]) / (count - splits)
-    scatter = spread(np.diff(values, axis=1), axis=1) / 2**0.5
-    variance = scatter[:, None] ** 2 * (1 / splits + 1 / (count - splits)) + SMALLEST_SPREAD**2
-    return np.asarray(0.5 * np.sum((after - before) ** 2 / variance, axis=0)), splits, scatter
+def _put_back(seen: Floats, dipoles: list[int], time_unix: Floats) -> Iterator[Circle]:
+    """Circles of antennas, the clearest first, in values of shape (antenna, dipole, 2, time), where each is put back."""
+    is_tried = np.zeros(time_unix.size + 1, dtype=bool)
+    while True:
+        values = seen[:, dipoles].reshape(len(seen), -1, time_unix.size)
+        before, after, error = _look_beside(values, time_unix)
+        odds = _odds_of_step(before, after, error)
+        others = np.delete(seen, dipoles, axis=1).reshape(len(seen), -1, time_unix.size)
+        stepped = (odds > CERTAIN) & (_odds_of_step(*_look_beside(others, time_unix)) < CERTAIN)
+        total = np.where(stepped & (stepped.sum(axis=0) > 1) & ~is_tried, odds, 0.0).sum(axis=0)
+        k = int(np.argmax(total))
+        if not total[k] > 0.0:
+            return
+        is_tried |= np.abs(np.arange(is_tried.size) - k) < FEWEST_BESIDE
+        rows = np.flatnonzero(stepped[:, k])
+        became, was, sigma = after[rows, :, k], before[rows, :, k], error[rows, :, k]
+        cost = 0.5 * np.sum(((became[:, None] - was) / sigma[:, None]) ** 2, axis=-1)
+        alone = np.sum(np.log(OUTLYING / sigma), axis=-1)
+        np.fill_diagonal(cost, alone)
+        place = linear_sum_assignment(cost)[1]
+        around = np.searchsorted(time_unix, time_unix[k] + np.array([-0.5, 0.5]) * MONTH_S)
+        half = np.clip(around, [0, k + FEWEST_BESIDE // 2], [k - FEWEST_BESIDE // 2, time_unix.size])
+        near = np.flatnonzero(total >= total[k] - DATE_SIGMA**2 / 2)
+        for cycle in _list_cycles(place):
+            at = list(cycle)
+            over_steps = np.sum(alone[at] - cost[at, place[at]]) - (len(at) - 1) * np.log(len(seen))
+            over_none = np.sum(odds[rows[at], k] - cost[at, place[at]]) - np.log(time_unix.size)
+            over_none -= len(at) * np.log(len(seen))
+            over_drift = np.sum(odds[rows[at], k]) - np.sum(odds[rows[at]][:, half], axis=0).max()
+            log_odds = float(min(over_steps, over_none, over_drift))
+            if log_odds > CERTAIN:
+                own, other = (rows[one][:, None] for one in (at, place[at]))
+                seen[other, dipoles, :, k:] = seen[own, dipoles, :, k:]
+                first = at.index(min(at))
+                circle = tuple(rows[at[first:] + at[:first]].tolist())
+                yield Circle(circle, tuple(dipoles), log_odds, find_edge(time_unix, k, near))
+
+
+def _look_beside(values: Floats, time_unix: Floats) -> tuple[Floats, Floats, Floats]:
+    """Means of values of shape (antenna, value, time) in the month before each split and after it, and their error.
+
+    Shape (antenna, value, split) each, split by the number of instants before it; NaN where there are too few.
+    """
+    known = np.isfinite(values)
+    total = np.cumsum(np.where(known, values, 0.0), axis=-1)
+    count = np.cumsum(known, axis=-1)
+    total, count = (np.concatenate([np.zeros((*one.shape[:2], 1)), one], axis=-1) for one in (total, count))
+    k = np.arange(time_unix.size + 1)
+    begin = np.minimum(np.searchsorted(time_unix, time_unix[np.minimum(k, k[-2])] - MONTH_S), k - FEWEST_BESIDE)
+    end = np.maximum(np.searchsorted(time_unix, time_unix[np.maximum(k - 1, 0)] + MONTH_S), k + FEWEST_BESIDE)
+    begin, end = np.maximum(begin, 0), np.minimum(end, k[-1])
+    sides = [
+        (count[..., high] - count[..., low], total[..., high] - total[..., low]) for low, high in ((begin, k), (k, end))
+    ]
+    means = [np.where(number >= FEWEST_BESIDE, sums / np.maximum(number, 1), np.nan) for number, sums in sides]
+    share = sum(1.0 / np.maximum(number, 1) for number, _ in sides)
+    scatter = spread(np.diff(values, axis=-1), axis=-1)[..., None] / 2**0.5
+    of_median = np.median(np.nan_to_num(means[1] - means[0]), axis=0)  # which steps where many do
+    return means[0], means[1] - of_median, np.hypot(scatter * share**0.5, SMALLEST_SPREAD)
+
+
+def _odds_of_step(before: Floats, after: Floats, error: Floats) -> Floats:
+    """Log odds of a step of each antenna at each split, shape (antenna, split)."""
+    return np.asarray(0.5 * np.nansum(((after - before) / error) ** 2, axis=1))
+
+
+def _list_cycles(place: NDArray[np.int64]) -> Iterator[list[int]]:
+    """The circles of a permutation, without those that stay where they are."""
+    left = set(range(place.size))
+    while left:
+        cycle = [left.pop()]
+        while (following := int(place[cycle[-1]])) in left:
+            left.remove(following)
+            cycle.append(following)
+        if len(cycle) > 1:
+            yield cycle
+
+
+def _tell(station: AuditedStation, one: Circle) -> Line:
+    numbers = station.antennas[list(one.rows)].tolist()
+    dipole = None if len(one.dipoles) == len(station.dipoles) else station.dipoles[one.dipoles[0]]
+    which = "" if dipole is None else f"{dipole} of "
+    *first, last = map(str, numbers)
+    when = f"since {one.since}" + ("" if one.until is None else f" and until {one.until}")
+    return Line(
+        MOVED,
+        WRONG,
+        station.name,
+        f"{which}antennas {', '.join(first)} and {last} change places {when}",
+        antennas=tuple(numbers),
+        dipole=dipole,
+        log_odds=one.odds,
+        kind=MOVED,
+        since_unix=one.since.at,
+        until_unix=None if one.until is None else one.until.at,
+    )

@@ -125,7 +125,7 @@ def put_right(spectra: Spectra, simulation: Simulation) -> PutRight | None:
     """
     wrong = audit(spectra, simulation.instrument, others=simulation.models).wrong
     errors = [RecordError(one) for one in wrong if one.kind in _OF_KIND]
-    left_out = [one for one in wrong if one.dipole is not None and one.antennas]
+    left_out = [one for one in wrong if one.dipole is not None and one.antennas and one.kind not in _OF_KIND]
     if not errors and not left_out:
         return None
     is_ill = np.zeros(len(spectra), dtype=bool)
@@ -169,10 +169,10 @@ def _correct(spectra: Spectra, instrument: Instrument, line: Line) -> tuple[Spec
         exchanged = np.where(spectra.dipole == one, other, one)
         return replace(spectra, dipole=np.where(is_wrong, exchanged, spectra.dipole)), instrument
     if line.kind == MOVED:
-        at = np.flatnonzero(np.isin(spectra.antenna, line.antennas) & line.is_during(spectra.time_unix))
-        antenna = spectra.antenna.copy()
-        antenna[at] = sum(line.antennas) - antenna[at]
-        return replace(spectra, antenna=antenna), instrument
+        is_wrong = line.is_during(spectra.time_unix) & (line.dipole is None or spectra.dipole == line.dipole)
+        following = dict(zip(line.antennas, (*line.antennas[1:], line.antennas[0]), strict=True))
+        moved = np.array([following.get(one, one) for one in spectra.antenna.tolist()])
+        return replace(spectra, antenna=np.where(is_wrong, moved, spectra.antenna)), instrument
     if line.value is not None and line.unit == "h":
         late_h = np.where(is_summer_time(spectra.time_unix), *(line.seasons_h or (line.value, line.value)))
         late_s = late_h * SIDEREAL_DAY_S / 24.0
