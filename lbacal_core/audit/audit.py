@@ -26,7 +26,7 @@ from lbacal_core.audit.antennas import (
     find_wrong_cables,
     tell_exchanged,
 )
-from lbacal_core.audit.moved import find_moved
+from lbacal_core.audit.moved import find_moved, put_in_place
 from lbacal_core.audit.sky_match import SkyMatch, SkyModels, load_models, tell_unit
 from lbacal_core.audit.station import FEWEST, AuditedStation, mean_frequencies, split_stations
 from lbacal_core.audit.verdict import ALIKE, UNDECIDED, WRONG, Line
@@ -111,8 +111,9 @@ def _audit(
         warnings.filterwarnings("ignore", "All-NaN|Mean of empty|Degrees of freedom", RuntimeWarning)
         for station, of_all_events in zip(stations, whole, strict=True):
             lines += [*find_empty_channels(station), *find_copies(station)]
-            own = _audit_station(station, instrument.at_station(station.name), models)
-            lines += own if any(_is_no_power(line) for line in own) else [*own, *find_moved(of_all_events)]
+            moved = find_moved(of_all_events)
+            own = _audit_station(put_in_place(station, moved), instrument.at_station(station.name), models)
+            lines += own if any(map(_is_no_power, own)) else [*own, *moved]
     return AuditReport(lines, stations)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -60,8 +60,20 @@ def find_moved(station: AuditedStation) -> list[Line]:
     return [_tell(station, one) for one in told]
 
 
+def put_in_place(station: AuditedStation, moved: Sequence[Line]) -> AuditedStation:
+    """The station with each antenna in its place, as the lines of `find_moved` say."""
+    power = station.power.copy()
+    for line in moved:
+        during = np.flatnonzero(line.is_during(station.time_unix))
+        own = np.searchsorted(station.antennas, line.antennas)
+        for dipole, name in enumerate(station.dipoles):
+            if line.dipole in (None, name):
+                power[np.roll(own, -1)[:, None], dipole, during] = power[own[:, None], dipole, during]
+    return replace(station, power=power)
+
+
 def _put_back(seen: Floats, dipoles: list[int], time_unix: Floats) -> Iterator[Circle]:
-    """Circles of antennas, the clearest first, in values of shape (antenna, dipole, 2, time), where each is put back."""
+    """Circles of antennas, the clearest first, in values of shape (antenna, dipole, 2, time): each is put back."""
     is_tried = np.zeros(time_unix.size + 1, dtype=bool)
     while True:
         values = seen[:, dipoles].reshape(len(seen), -1, time_unix.size)

@@ -525,7 +525,8 @@ class Search:
         # The products are small: threads of the linear algebra would wait for each other.
         with threadpool_limits(1):
             report = search(station, modes=None if known is None else model_modes(station, known))
-            if simulation.is_own_sky and (report.structure is not None or not report.findings or _names_record(report)):
+            is_open = report.structure is not None or not report.findings or _names_record(report)
+            if simulation.is_own_sky and (is_open or _steps_together(report)):
                 progress(f"{station.name}: asking whether its record is wrong")
                 report = _search_put_right(own, report, simulation, search) or report
             if report.structure is not None:
@@ -619,6 +620,12 @@ def _names_record(report: StationReport) -> bool:
     return any(one.hypothesis.cause.identifier in OF_RECORD for one in report.findings)
 
 
+def _steps_together(report: StationReport) -> bool:
+    """Whether several antennas step, as those do that change places."""
+    found = (one.hypothesis for one in report.findings)
+    return len({one.target.label for one in found if one.cause.identifier == "gain_step"}) > 1
+
+
 def _search_put_right(
     spectra: Spectra, recorded: StationReport, simulation: Simulation, search: Callable[..., StationReport]
 ) -> StationReport | None:
@@ -638,12 +645,14 @@ def _search_put_right(
     report = search(station, modes=None if known is None else model_modes(station, known))
     if report.structure is not None or (recorded.structure is None and _names_record(report)):
         return None
-    searched = set(zip(report.station.antenna.tolist(), report.station.dipole.tolist(), strict=True))
-    paths = zip(right.spectra.antenna.tolist(), right.spectra.dipole.tolist(), strict=True)
+    searched = list(zip(report.station.antenna.tolist(), report.station.dipole.tolist(), strict=True))
+    paths = zip(right.as_recorded.antenna.tolist(), right.as_recorded.dipole.tolist(), strict=True)
     same = np.flatnonzero([path in searched for path in paths])
     (as_recorded,), known = gather_stations(right.as_recorded.select(same), simulation), simulation.differences
     modes = None if known is None else model_modes(as_recorded, known)
     before = fit_adopted(as_recorded, simulation.causes, modes).model
+    kept = zip(before.station.antenna.tolist(), before.station.dipole.tolist(), strict=True)
     whole = [one for one in right.left_out if one.since_unix is None and one.until_unix is None]
     ill = [f"antenna {antenna} {one.dipole}" for one in whole for antenna in one.antennas]
-    return replace(report, record=right.errors, as_recorded=before, deaf=sorted({*report.deaf, *ill}))
+    told = before if list(kept) == searched else None  # a path of two antennas may look as if it heard no sky
+    return replace(report, record=right.errors, as_recorded=told, deaf=sorted({*report.deaf, *ill}))

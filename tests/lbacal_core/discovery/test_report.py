@@ -1,11 +1,12 @@
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from lbacal_core.discovery.policy import Policy
-from lbacal_core.discovery.report import investigate
+from lbacal_core.discovery.report import _steps_together, investigate
 from lbacal_core.errors import LbacalError
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.differences import model_difference_modes
@@ -192,3 +193,23 @@ def test_channels_that_differ_are_refused(world):
     other = replace(world.instrument, frequency_mhz=world.instrument.frequency_mhz + 0.5)
     with pytest.raises(LbacalError):
         investigate(world.spectra(), Simulation(other, world.sky))
+
+
+def test_steps_of_several_antennas_ask_whether_these_change_places():
+    """Three steps that explain everything were named, beside an audit that told who stands where."""
+
+    def report(*found):
+        return SimpleNamespace(
+            findings=[
+                SimpleNamespace(
+                    hypothesis=SimpleNamespace(
+                        cause=SimpleNamespace(identifier=cause), target=SimpleNamespace(label=target)
+                    )
+                )
+                for cause, target in found
+            ]
+        )
+
+    assert _steps_together(report(("gain_step", "antenna 1"), ("gain_step", "antenna 2")))
+    assert not _steps_together(report(("gain_step", "antenna 1"), ("gain_step", "antenna 1")))
+    assert not _steps_together(report(("gain_step", "antenna 1"), ("adc_noise_step", "antenna 2")))
