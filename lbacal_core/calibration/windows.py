@@ -58,7 +58,7 @@ def cut_window(
     scope
         ``antenna``, ``station`` or ``array``.
     cuts
-        Beside what the instrument says; an antenna of which it names a change in the window keeps to these.
+        Beside what the instrument says.
     """
     owners, ends = (
         sorted({(station, antenna) for station, antenna, _ in spectra.quarter_hashes}),
@@ -66,10 +66,9 @@ def cut_window(
     )
     known, changed = find_hardware_changes(instrument), dict[Owner, tuple[float, ...]]()
     for owner in owners:
-        own = _inside(known.get(owner, ()), *ends) or _inside(cuts.get(owner, ()), *ends)
-        of_station = _inside(cuts.get((owner[0], None), ()), *ends)
-        if own or of_station:
-            changed[owner] = tuple(sorted({*own, *of_station}))
+        dates = {*known.get(owner, ()), *cuts.get(owner, ()), *cuts.get((owner[0], None), ())}
+        if inside := tuple(sorted(date for date in dates if since_unix < date < until_unix)):
+            changed[owner] = inside
     steady = frozenset(owners) - changed.keys()
     rest = [Piece(*ends, steady, is_whole=not changed)] if steady or not changed else []
     if scope == "antenna":  # those that changed at the same dates share their pieces
@@ -78,10 +77,6 @@ def cut_window(
     if len(changed) <= LARGEST_SHARE_LEFT_OUT * len(owners):
         return rest
     return list(_cut_at(sorted({date for dates in changed.values() for date in dates}), owners, ends))
-
-
-def _inside(dates: Sequence[float], since_unix: float, until_unix: float) -> list[float]:
-    return [date for date in dates if since_unix < date < until_unix]
 
 
 def leave_out_changed(spectra: AnySpectra, instrument: Instrument) -> AnySpectra | None:

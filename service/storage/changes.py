@@ -161,7 +161,7 @@ class Cut:
 
     `dipoles` are those that changed, None for both, and `power` is theirs after it over that before; None where the
     size of the change is not known. `shape` are the Legendre coefficients 1 and 2 of ln of it over the band. With
-    `slow` it is no step: C follows it, and no window is cut.
+    `slow` it is no step: C follows it, and no window is cut. `sigma` is the error of the date.
     """
 
     station: str
@@ -171,6 +171,7 @@ class Cut:
     power: float | None = None
     shape: tuple[float, float] = (0.0, 0.0)
     slow: SlowChange | None = None
+    sigma: int = 0
 
     def begins_before(self, until: Instant) -> bool:
         """Whether it shows before an instant: a season has no beginning."""
@@ -321,7 +322,7 @@ class KeptChange:
         one = self.change
         if one.station is None:
             return []
-        cut = Cut(one.station, None, one.date, **what)
+        cut = Cut(one.station, None, one.date, **what, sigma=one.sigma)
         who = [replace(cut, antenna=number, dipoles=one.dipoles_of(number)) for number in one.antennas]
         return who if one.paths else [cut]
 

@@ -37,7 +37,7 @@ from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.spectra.blocks import Recorded, SpectraByStation
 from lbacal_core.spectra.spectra import Spectra
 from service.errors import ConflictError
-from service.storage.changes import Cut
+from service.storage.changes import Cut, is_same_date
 from service.storage.database import Stores
 from service.storage.ledger import is_of_person
 from service.storage.spectra import Window
@@ -93,8 +93,8 @@ class Wanted:
     def named(self) -> list[list[Any]]:
         """The hash of these changes."""
         gated = (one for one in self.undated if not self._is_part(one))
-        cuts = [[one.station, one.antenna, one.date] for one in (*self.cuts, *gated)]
-        return cuts + [[*astuple(one)][: None if one.slow else -1] for one in self.taken_out]
+        cuts = [[one.station, one.antenna, one.date, one.sigma] for one in (*self.cuts, *gated)]
+        return cuts + [[*astuple(one)][: -1 if one.slow else -2] for one in self.taken_out]
 
     @property
     def window(self) -> Window:
@@ -361,7 +361,8 @@ class Fits:
         spectra, of, is_part = whole.recorded, wanted.of, wanted.window.scope != wanted.of
         fitted = whole.keep(lambda own: (own.antenna == of.antenna) & (own.dipole == of.dipole)) if is_part else whole
         ends = wanted.since / SECOND_US, wanted.until / SECOND_US
-        for one in cut_window(fitted.recorded, self.simulation.instrument, wanted.scope, *ends, _list_cuts(wanted)):
+        instrument = self.simulation.instrument
+        for one in cut_window(fitted.recorded, instrument, wanted.scope, *ends, _list_cuts(wanted, instrument)):
             of_piece = fitted if one.is_whole else fitted.keep(one.rows)
             during = replace(wanted, since=round(one.since_unix * SECOND_US), until=round(one.until_unix * SECOND_US))
             if len(of_piece.recorded):
@@ -492,11 +493,17 @@ def _explain_repeated(curves: Sequence[CalibrationCurve]) -> list[str]:
     return served
 
 
-def _list_cuts(wanted: Wanted) -> dict[tuple[str, int | None], list[float]]:
-    """Dates of cuts, s UTC, by station and antenna; None for all of a station."""
+def _list_cuts(wanted: Wanted, instrument: Instrument) -> dict[tuple[str, int | None], list[float]]:
+    """Dates of cuts, s UTC, by station and antenna; None for all of a station.
+
+    One that agrees with a date on record of its antenna is that.
+    """
     found: dict[tuple[str, int | None], list[float]] = {}
+    known = [(owner, date) for owner, dates in find_hardware_changes(instrument).items() for date in dates]
     for one in wanted.cuts:
-        found.setdefault((one.station, one.antenna), []).append(one.date / SECOND_US)
+        own, at = (one.station, one.antenna), (one.date, one.sigma)
+        if not any(owner == own and is_same_date(at, (round(date * SECOND_US), 0)) for owner, date in known):
+            found.setdefault(own, []).append(one.date / SECOND_US)
     return found
 
 

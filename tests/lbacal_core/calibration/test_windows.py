@@ -112,3 +112,9 @@ def test_where_a_whole_station_changed_paths_and_mean_are_cut(spectra):
     ]  # fmt: skip
     of_mean = cut_window(spectra, make_instrument({}), "station", ZERO, ZERO + 100.0, {("CS001", None): [ZERO + 40.0]})
     assert [(p.since_unix - ZERO, p.until_unix - ZERO) for p in of_mean] == [(0, 40), (40, 100)]
+
+
+def test_a_step_in_a_year_in_which_the_antenna_has_a_record_was_never_cut(spectra):
+    cuts = {("CS001", 2): [ZERO + 60.0, ZERO + 200.0]}
+    pieces = cut_window(spectra, make_instrument({2: 30.0}), "antenna", ZERO, ZERO + 100.0, cuts)
+    assert [(p.since_unix - ZERO, p.until_unix - ZERO) for p in pieces[1:]] == [(0, 30), (30, 60), (60, 100)]

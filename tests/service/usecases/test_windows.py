@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lbacal.instants import DAY_US, SECOND_US
 from lbacal_core.calibration.slow_changes import SlowChange
 from lbacal_core.causes.model import Model
 from lbacal_core.curves.kept_lines import KeptLines
@@ -17,7 +18,7 @@ from lbacal_core.discovery.calibrate import FittedCauses
 from lbacal_core.instrument.sidereal import YEAR_S
 from service.storage.changes import Cut
 from service.storage.sums import KeptPiece
-from service.usecases.fits import Wanted, _name_sizes, _take_out
+from service.usecases.fits import Wanted, _list_cuts, _name_sizes, _take_out
 from service.usecases.windows import ALONE, Neighbours
 from tests.service.conftest import instant
 
@@ -91,3 +92,15 @@ def test_of_two_ramps_of_one_path_the_last_is_taken_out_of_a_mean(dipoles: tuple
     taken_out = _take_out(whole, wanted, Neighbours((), {}, {})).unchanged
     assert taken_out is not None
     assert taken_out(spectra) == pytest.approx(np.exp([[2.0 * last.size] * 3]))
+
+
+def test_a_cut_that_agrees_with_a_date_on_record_of_its_antenna_is_that() -> None:
+    year, recorded = (instant("2014-01-01"), instant("2015-01-01")), instant("2014-03-01")
+    near, far = (Cut("CS002", 1, instant(day), sigma=2 * DAY_US) for day in ("2014-03-06", "2014-03-10"))
+    others = (replace(near, antenna=2), replace(near, antenna=None))
+    wanted = Wanted("antenna", Scope("CS002"), *year, Model(), "test", "test", (near, far, *others))
+    record = SimpleNamespace(station="CS002", antenna=1, since=recorded / SECOND_US, until=None)
+    instrument: Any = SimpleNamespace(antennas=[record])
+    cut = {("CS002", one.antenna): [one.date / SECOND_US] for one in (far, *others)}
+    assert _list_cuts(wanted, instrument) == cut
+    assert _list_cuts(replace(wanted, changed=(replace(far, sigma=3 * DAY_US),)), instrument) == {}
