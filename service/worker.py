@@ -52,7 +52,7 @@ class Worker:
         self._lease_us = round(factory.settings.lease_s * 1e6)
 
     def run(self, stop: threading.Event, *, until_idle: bool = False) -> None:
-        """Work until asked to stop, or with `until_idle` until nothing is left to claim."""
+        """Work until asked to stop, or with `until_idle` until nothing is left to claim, or the database is away."""
         poll_s, begun = self._factory.settings.poll_s, set[Future[None]]()
         with (
             threadpool_limits(1),
@@ -71,6 +71,8 @@ class Worker:
                         if not begun:
                             self._tell_what_is_left()
                 except UnavailableError as error:
+                    if until_idle:
+                        raise
                     log.warning("database away", error=str(error))
                 if begun:
                     wait(begun, poll_s, FIRST_COMPLETED)

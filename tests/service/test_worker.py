@@ -3,6 +3,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from fastapi.testclient import TestClient
 from lbacal.instants import parse_instant
 from lbacal_core.calibration.fit import fit_calibration
 from lbacal_core.spectra.spectra import Spectra
+from service.errors import UnavailableError
 from service.factory import Factory
 from service.scheduler import look_again, look_for_due_work
 from service.storage.jobs import LeaseLostError, Part
@@ -151,6 +153,15 @@ def test_a_part_whose_worker_died_is_taken_over_and_the_dead_one_writes_nothing(
     assert http.get(f"/v1/jobs/{number}").json()["state"] == "done"
     with pytest.raises(LeaseLostError):
         station.refits.run(part, "dead")
+
+
+def test_a_worker_that_ends_when_idle_fails_where_the_database_went_away(
+    station: Factory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It ended with 0, and the work was not done."""
+    monkeypatch.setattr(station.database, "write", Mock(side_effect=UnavailableError("the disk is full")))
+    with pytest.raises(UnavailableError, match="is full"):
+        work(station)
 
 
 def test_a_clock_that_is_ahead_holds_no_lease(station: Factory, http: TestClient, clock: Any) -> None:
