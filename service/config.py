@@ -20,7 +20,7 @@ _LEVEL = "^(debug|info|warning|error)$"
 class Settings(BaseSettings):
     """Everything that differs from one installation to the next."""
 
-    model_config = SettingsConfigDict(env_prefix=PREFIX, frozen=True, extra="ignore")
+    model_config = SettingsConfigDict(env_prefix=PREFIX, frozen=True, extra="ignore", allow_inf_nan=False)
 
     database_url: str = Field(default="./var/lbacal.sqlite", description="SQLite file, or postgresql://user@host/name")
     instrument: str = Field(default="lofar-superterp", description="name of a shipped instrument, or a file")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import Annotated, Any
 
@@ -75,6 +76,9 @@ def enter(
 
     Example: lbacal changes enter 2014-05-01T12:00 --station CS002 --antenna 17 --reason "another amplifier"
     """
+    for option, value in (("--sigma-days", sigma_days), ("--size", size), ("--size-sigma", size_sigma)):
+        if not math.isfinite(value or 0.0):
+            raise BadInputError(option, "a finite number", str(value))
     entry: dict[str, Any] = {"at": {"value": at, "sigma_days": sigma_days}, "kind": kind, "reason": reason}
     if size is None and size_sigma is not None:
         raise BadInputError("--size-sigma", "--size beside it", "none")

@@ -295,6 +295,7 @@ def test_the_entry_points_add_their_commands_to_this_app() -> None:
             "a number as port in postgresql://user@host:port/name", "'postgresql://...'",
         ),
         ("DATABASE_URL", "", "a file, or postgresql://user@host/name", "''"),
+        ("GATE_ERROR", "inf", "a finite number", "'inf'"),
         ("WAIT_S", "soon://or later", "a valid number, unable to parse string as a number", "'soon://or later'"),
     ],
 )  # fmt: skip
