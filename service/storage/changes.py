@@ -161,7 +161,8 @@ class Cut:
 
     `dipoles` are those that changed, None for both, and `power` is theirs after it over that before; None where the
     size of the change is not known. `shape` are the Legendre coefficients 1 and 2 of ln of it over the band. With
-    `slow` it is no step: C follows it, and no window is cut. `sigma` is the error of the date.
+    `slow` it is no step: C follows it, and no window is cut. `sigma` is the error of the date,
+    and `known` the instant since which it is in force.
     """
 
     station: str
@@ -172,6 +173,7 @@ class Cut:
     shape: tuple[float, float] = (0.0, 0.0)
     slow: SlowChange | None = None
     sigma: int = 0
+    known: Instant = 0
 
     def begins_before(self, until: Instant) -> bool:
         """Whether it shows before an instant: a season has no beginning."""
@@ -322,7 +324,8 @@ class KeptChange:
         one = self.change
         if one.station is None:
             return []
-        cut = Cut(one.station, None, one.date, **what, sigma=one.sigma)
+        known = self.made if self.said is None else self.said.at
+        cut = Cut(one.station, None, one.date, **what, sigma=one.sigma, known=known)
         who = [replace(cut, antenna=number, dipoles=one.dipoles_of(number)) for number in one.antennas]
         return who if one.paths else [cut]
 

@@ -267,13 +267,20 @@ class LedgerStore(Store):
 
     def bridging(
         self, dates: Iterable[tuple[Scope, Instant]], as_of: Instant | None = None
-    ) -> dict[tuple[Scope, Instant], str]:
-        """The version that decides just before a date and at it, by scope and date; left out where two do, or none."""
+    ) -> dict[tuple[Scope, Instant], Promotion]:
+        """The newer promotion of the version that decides just before a date and at it; left out where two do, or none.
+
+        By scope and date.
+        """
         sides = {(scope, date): ((scope, date - 1), (scope, date)) for scope, date in dates}
         said = self.decisive_at((one for of in sides.values() for one in of), as_of) if sides else {}
-        names = {one: made.calibration for one, made in said.items()}
-        found = {place: (names.get(before), names.get(after)) for place, (before, after) in sides.items()}
-        return {place: before for place, (before, after) in found.items() if before is not None and before == after}
+        asked = sides.items()
+        both = {of: (said[before], said[at]) for of, (before, at) in asked if before in said and at in said}
+        return {
+            of: max(before, after, key=lambda one: one.number)
+            for of, (before, after) in both.items()
+            if before.calibration is not None and before.calibration == after.calibration
+        }
 
     def latest(self, scopes: Iterable[Scope]) -> dict[Scope, Promotion]:
         """The promotion in effect at the begin of the last interval of each scope that has one, as it stands now."""

@@ -23,6 +23,7 @@ from service.storage.alarms import Doubt
 from service.storage.changes import DISMISSED, STEP, Cut, Epoch, KeptChange, concerns, split_epochs
 from service.storage.database import Database
 from service.storage.ledger import Neighbours, pick_answering
+from service.storage.processes import SCHEDULER
 from service.storage.spectra import Window
 from service.storage.versions import Version, Waiting
 
@@ -310,9 +311,10 @@ class Calibrations:
             alike = (waits[one] for one in path.widening[: path.widening.index(scope) + 1] if one in waits)
             newer = [one for one in alike if is_held or one.scope != scope or one.made > version.made][:1]
             between = epoch, next(iter(newer), None), _find_dismissed(dismissed, scope, version)
-            over = [cut for cut in cuts[scope] if bridging.get((scope, cut.date)) == promotion.calibration]
+            said = [(cut, bridging.get((scope, cut.date))) for cut in cuts[scope]]
+            over = [(cut, by) for cut, by in said if by and by.calibration == promotion.calibration]
             warnings = [
-                *(_warn_over(cut, promotion, version, at) for cut in over),
+                *(_warn_over(cut, by, version, at) for cut, by in over),
                 *_warn_of_both(path, version, of_antenna, have_spectra),
                 *_warn_near(path, epoch, at, of_antenna, version),
                 *(doubts[of] for of in (path, version.id) if of in doubts),
@@ -429,14 +431,21 @@ def _find_dismissed(dismissed: Iterable[KeptChange], scope: Scope, version: Vers
     )  # fmt: skip
 
 
+def lacks_fit(cut: Cut, said: Promotion, version: Version) -> bool:
+    """Whether what answers on both sides of a change waits for a refit: the mean over it that no person chose since."""
+    return version.is_over(cut.date) and (said.by == SCHEDULER or said.at < cut.known)
+
+
 def _warn_over(cut: Cut, said: Promotion, version: Version, at: Instant) -> str | None:
     """A warning about C while one version answers on both sides of a change; None on the side that it is of."""
-    if version.is_over(cut.date):
+    if lacks_fit(cut, said, version):
         return cut.warning
     who, day = name_path(cut.station, cut.antenna), format_instant(cut.date)[:10]
     side = "before" if version.until <= cut.date else "after"
-    told = f"{who} changed on {day}: {said.by} put a version of {side} it into effect over it ({said.reason})"
-    return None if (at < cut.date) == (side == "before") else told
+    is_mean = version.is_over(cut.date)
+    what = "the mean over it into effect" if is_mean else f"a version of {side} it into effect over it"
+    is_of_side = not is_mean and (at < cut.date) == (side == "before")
+    return None if is_of_side else f"{who} changed on {day}: {said.by} put {what} ({said.reason})"
 
 
 def _warn_of_both(

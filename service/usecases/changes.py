@@ -34,7 +34,7 @@ from service.storage.changes import (
 from service.storage.database import Database, Stores
 from service.storage.models import Investigation
 from service.storage.versions import Version
-from service.usecases.calibrations import find_slow, follow_through, group_by_antenna, select_paths
+from service.usecases.calibrations import find_slow, follow_through, group_by_antenna, lacks_fit, select_paths
 from service.usecases.doubts import find_doubts
 from service.usecases.drift import year_of
 from service.usecases.gate import Gate, compare_curves
@@ -58,15 +58,16 @@ WORDS = {IN_FORCE: "in force", DISMISSED: "dismissed"}
 def mark_refitted(stores: Stores, changes: Sequence[KeptChange], dipoles: Collection[str]) -> list[KeptChange]:
     """Changes with whether they are refitted: one whose antennas have versions in effect may not be.
 
-    A version of before or after it that a person put into effect over it is no fit that is missing.
+    What a person put into effect over it since it is in force is no fit that is missing.
     """
-    asked = {
-        (one.number, (Scope(cut.station, cut.antenna, None if cut.antenna is None else dipole), cut.date))
+    asked = [
+        (one.number, cut, (Scope(cut.station, cut.antenna, None if cut.antenna is None else dipole), cut.date))
         for one in changes for cut in one.cuts for dipole in dipoles
-    }  # fmt: skip
-    bridging = stores.ledger.bridging(place for _, place in asked)
-    versions = stores.versions.get_many(bridging.values())
-    waiting = {number for number, place in asked if place in bridging and versions[bridging[place]].is_over(place[1])}
+    ]  # fmt: skip
+    bridging = stores.ledger.bridging(place for *_, place in asked)
+    versions = stores.versions.get_many(str(said.calibration) for said in bridging.values())
+    over = [(number, cut, bridging[place]) for number, cut, place in asked if place in bridging]
+    waiting = {number for number, cut, said in over if lacks_fit(cut, said, versions[str(said.calibration)])}
     return [replace(one, is_refitted=one.number not in waiting) for one in changes]
 
 

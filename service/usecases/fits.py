@@ -94,7 +94,7 @@ class Wanted:
         """The hash of these changes."""
         gated = (one for one in self.undated if not self._is_part(one))
         cuts = [[one.station, one.antenna, one.date, one.sigma] for one in (*self.cuts, *gated)]
-        return cuts + [[*astuple(one)][: -1 if one.slow else -2] for one in self.taken_out]
+        return cuts + [[*astuple(one)][: -2 if one.slow else -3] for one in self.taken_out]
 
     @property
     def window(self) -> Window:

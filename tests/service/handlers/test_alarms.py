@@ -20,6 +20,7 @@ from service.factory import Factory
 from service.storage.alarms import News
 from service.storage.changes import DRIFT, INVESTIGATION, Change, Evidence
 from service.storage.models import Investigation
+from service.storage.processes import SCHEDULER
 from service.storage.versions import Version
 from service.usecases.watch import settle_changes, tell_news
 from tests.service.conftest import promote
@@ -213,7 +214,7 @@ def test_a_change_is_refitted_once_no_version_answers_on_both_sides(
 
     def is_refitted(name: str, since: int, until: int | None) -> bool:
         with factory.database.write() as stores:
-            stores.ledger.append([Promotion(0, path, since, until, stored[name].id, 0)], factory.clock)
+            stores.ledger.append([Promotion(0, path, since, until, stored[name].id, 0, SCHEDULER)], factory.clock)
         question = {"at": "2014-06-01", "station": "CS001", "antenna": 0, "dipole": "X"}
         (curve,) = client.get("/v1/calibrations/effective", params=question).json()["curves"]
         is_told = bool(client.get("/v1/changes").json()["changes"][0]["refitted"])
@@ -225,6 +226,26 @@ def test_a_change_is_refitted_once_no_version_answers_on_both_sides(
     assert not is_refitted("path", DATE, end), "in two acts the same version"
     assert not is_refitted("path", start, DATE), "in two acts the same version"
     assert is_refitted("other", start, DATE)
+
+
+def test_the_mean_over_a_change_that_a_person_put_back_into_effect_read_for_ever_as_not_yet_refitted(
+    factory: Factory, client: TestClient, stored: dict[str, Version]
+) -> None:
+    promote(client, stored["path"], "2014-01-01", "2015-01-01")
+    find_change(factory, "CS001", 0)
+
+    def tell() -> tuple[bool, str]:
+        question = {"at": "2014-06-01", "station": "CS001", "antenna": 0, "dipole": "X"}
+        (curve,) = client.get("/v1/calibrations/effective", params=question).json()["curves"]
+        return client.get("/v1/changes").json()["changes"][0]["refitted"], str(curve["flag_reason"])
+
+    said = "CS001 antenna 0 changed on 2014-05-01"
+    assert tell() == (False, f"{said} (found, not yet refitted): C in effect is the mean over the change")
+    piece = Promotion(0, Scope("CS001", 0, "X"), DATE, DATE + DAY_US, stored["other"].id, 0, SCHEDULER)
+    with factory.database.write() as stores:
+        (made,) = stores.ledger.append([piece], factory.clock)
+    assert client.post(f"/v1/promotions/{made.number}/rollback", json={"reason": "too few events"}).status_code == 201
+    assert tell() == (True, f"{said}: key 1 put the mean over it into effect (too few events)")
 
 
 def test_a_change_whose_date_moved_with_no_event_between_was_not_refitted_for_ever(
