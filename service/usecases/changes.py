@@ -33,7 +33,6 @@ from service.storage.changes import (
 )  # fmt: skip
 from service.storage.database import Database, Stores
 from service.storage.models import Investigation
-from service.storage.versions import Version
 from service.usecases.calibrations import find_slow, follow_through, group_by_antenna, lacks_fit, select_paths
 from service.usecases.doubts import find_doubts
 from service.usecases.drift import year_of
@@ -47,8 +46,6 @@ if TYPE_CHECKING:
 
 INVESTIGATED_SIGMA_US = 3 * DAY_US
 """An investigation gives the event from which on a cause acts, and no error of that date."""
-FITTED_ONE_BY_ONE = 3
-"""More antennas than this are fitted with their whole station to say what a decision changes."""
 GAIN_STEP, GAIN_DRIFT = "gain_step", "gain_drift"
 RIVAL_ODDS = 0.01
 """A step whose odds beside a ramp are better may be what that is."""
@@ -188,21 +185,18 @@ class Changes:
         from service.usecases.fits import Wanted
 
         cuts = [cut for one in then for cut in one.cuts]
-        fits, versions = self.find_fits(), list[Version]()
-        paths = select_paths(self.instrument, change.station, None, None)
-        scopes = [path for path in paths if not change.paths or path.antenna in change.antennas]
+        inside = tuple(cut for cut in cuts if cut.date < window[1])
+        paths, fits = select_paths(self.instrument, change.station, None, None), self.find_fits()
+        scopes = {path for path in paths if not change.paths or path.antenna in change.antennas}
         with self.database.read() as stores:
             model = stores.models.during(change.station, *window)
-            for of in scopes if 0 < len(change.antennas) <= FITTED_ONE_BY_ONE else [Scope(change.station)]:
-                inside = tuple(cut for cut in cuts if cut.date < window[1])
-                wanted = Wanted("antenna", of, *window, model, by, "", inside)
-                try:
-                    spectra = fits.load(stores, wanted)
-                except ConflictError:
-                    continue
-                neighbours = fits.find_neighbours(stores, wanted, cuts)
-                versions += fits.make(fits.fit_causes(spectra, model), wanted, neighbours).versions
-            versions = [one for one in versions if one.scope in scopes]
+            wanted = Wanted("antenna", Scope(change.station), *window, model, by, "", inside)
+            try:
+                spectra = fits.load(stores, wanted)
+            except ConflictError:
+                return [], {}
+            made = fits.make(fits.fit_causes(spectra, model), wanted, fits.find_neighbours(stores, wanted, cuts))
+            versions = [one for one in made.versions if one.scope in scopes]
             told = dict[str, str | None]()
             for span in {one.window for one in versions}:
                 told |= self.gate.judge(stores, [one for one in versions if one.window == span], then)

@@ -10,10 +10,13 @@ import pytest
 from lbacal.instants import DAY_US
 from lbacal_core.curves.validity import Promotion, Scope
 from lbacal_core.instrument.instrument import Instrument
+from service.errors import ConflictError
 from service.factory import Factory
 from service.storage.changes import INVESTIGATION, Change, Evidence, KeptChange
+from service.storage.database import Stores
 from service.storage.models import Investigation
 from service.usecases.changes import propose
+from service.usecases.fits import Fits, Wanted
 from service.wire.bodies import ChangeBody, DecisionBody
 from tests.service.conftest import instant, new_version
 
@@ -79,3 +82,20 @@ def test_a_decision_tells_what_a_slow_change_does_to_c_in_every_year(factory: Fa
     assert told == [(path, *one.window, one.id) for one in moved], "before a ramp C stands still"
     sizes = [one.curve_change.max_fraction for one in changes if one.curve_change is not None]
     assert sizes[-2:] == pytest.approx([most, most], rel=0.1)
+
+
+def test_a_decision_told_what_a_path_by_itself_gives_and_not_what_the_next_daily_run_does(
+    factory: Factory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With its spectra alone another antenna was likelier: the version that then went into effect was left out."""
+    path, asked = {"station": "CS001", "antenna": 0, "dipole": "X"}, list[Scope]()
+    body = {"paths": [path], "at": {"value": "2014-06-01"}, "reason": "test"}
+    kept = factory.changes.enter(ChangeBody.model_validate(body), "test")
+
+    def load(_: Fits, _stores: Stores, wanted: Wanted) -> None:
+        asked.append(wanted.of)
+        raise ConflictError("seen")
+
+    monkeypatch.setattr(Fits, "load", load)
+    factory.changes.foresee(kept.number, DecisionBody(decision="dismissed", reason="it was none"), "test")
+    assert asked == [Scope("CS001")]
