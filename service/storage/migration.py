@@ -98,6 +98,7 @@ def copy_sqlite(url: str, output: Path) -> int:
     try:
         with written_beside(output) as beside:
             with closing(sqlite3.connect(source)) as there, closing(sqlite3.connect(beside)) as here:
+                here.execute("PRAGMA journal_mode=OFF")  # a journal would stay where the disk is full
                 there.backup(here)
                 # a copy in write-ahead mode would be read together with files beside it
                 here.execute("PRAGMA journal_mode=DELETE")

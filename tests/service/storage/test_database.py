@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import os
 import re
+import resource
 import shutil
 import sqlite3
 import subprocess
@@ -567,6 +568,18 @@ def test_a_backup_while_somebody_writes_is_whole(factory: Factory, tmp_path: Pat
         is_over.set()
         writer.join()
     assert sorted(path.suffix for path in tmp_path.glob("?.sqlite*")) == [".sqlite"] * 5, "nothing stands beside a copy"
+
+
+def test_a_copy_to_a_full_disk_left_its_journal_behind(sqlite_template: Path, tmp_path: Path) -> None:
+    (tmp_path / "copy").mkdir()
+    whole = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (sqlite_template.stat().st_size // 2, whole[1]))
+    try:
+        with pytest.raises(UnavailableError, match="could not be copied"):
+            copy_sqlite(f"sqlite:///{sqlite_template}", tmp_path / "copy" / "x.sqlite")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, whole)
+    assert list((tmp_path / "copy").iterdir()) == []
 
 
 def test_a_copy_of_nothing_or_of_another_database_is_refused(tmp_path: Path) -> None:
