@@ -132,7 +132,7 @@ class Cache:
         With stations or instants only the answers of that part, which is then what the cache holds of the tag.
         """
         tags = {one["name"]: one for one in client.list("/v1/tags", "tags")}
-        found = tags.get(_require_tag(tag))
+        found = tags.get(require_tag(tag))
         if found is None:
             raise BadInputError("tag", "a tag of the server; `lbacal tag` lists and makes them", offer_name(tag, tags))
         as_of = found["as_of"]
@@ -166,7 +166,7 @@ class Cache:
     def snapshot(self, tag: str | None) -> Snapshot:
         """The list of a tag; without a name that of the tag synced last."""
         if tag is not None:
-            return self._read_snapshot(_require_tag(tag))
+            return self._read_snapshot(require_tag(tag))
         names = self._names()
         if not names:
             raise CacheError(f"the cache {self._folder} holds no tag: run `lbacal sync TAG` while a server answers")
@@ -177,7 +177,7 @@ class Cache:
 
     def find(self, tag: str, asked: Question) -> Snapshot | None:
         """The list of a tag that was synced with what is asked for; None where it was not."""
-        if not (self._folder / "tags" / f"{_require_tag(tag)}.json").is_file():
+        if not (self._folder / "tags" / f"{require_tag(tag)}.json").is_file():
             return None
         snapshot = self._read_snapshot(tag)
         return snapshot if snapshot.holds(asked) else None
@@ -297,7 +297,8 @@ class Cache:
             beside.write_bytes(content)
 
 
-def _require_tag(tag: str) -> str:
+def require_tag(tag: str) -> str:
+    """The name of a tag, or an error that says which names there are."""
     if not _TAG.fullmatch(tag):
         raise BadInputError("tag", "letters, digits, '.', '_' and '-'", repr(tag[:40]))
     return tag

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from lbacal.cache import require_tag
 from lbacal.cli.client import SHOWN, Antenna, Dipole, Station, print_job, wait_for
 from lbacal.cli.outputs import Json, show, show_each
 from lbacal.client import Client
@@ -100,7 +101,7 @@ def tag(
         elif reason is None:
             raise BadInputError("--reason", "why the tag is made", "nothing")
         else:
-            tags = [client.send("PUT", f"/v1/tags/{name}", {"as_of": as_of, "reason": reason})]
+            tags = [client.send("PUT", f"/v1/tags/{require_tag(name)}", {"as_of": as_of, "reason": reason})]
     show_each(
             tags, lambda one: print(f"{one['name']}: as of {one['as_of']}, by {one['by']}: {one['reason']}"), "no tags",
             as_json=as_json,

@@ -181,6 +181,7 @@ def test_the_commands_of_a_database_say_what_they_did(factory: Factory, monkeypa
         ("promote --reason x", "either a version or --job, found neither"),
         ("promote 4711aa --job 3 --reason x", "either a version or --job, found both"),
         ("promote --job 3 --from 2014-01-01 --reason x", "--job: expected no --from or --to beside it"),
+        ("tag a/b --reason x", "tag: expected letters, digits, '.', '_' and '-', found 'a/b'"),
         ("tag paper", "--reason: expected why the tag is made"),
         ("alarms --acknowledge 3", "--acknowledge with --reason"),
         ("alarms --until 2020-01-01", "--acknowledge with --reason"),
