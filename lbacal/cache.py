@@ -199,7 +199,11 @@ class Cache:
         curves: list[dict[str, Any]] = []
         missing: list[dict[str, Any]] = []
         budgets: dict[str, Any] = {}
-        for name in _select_stations(snapshot, asked):
+        try:
+            names = _select_stations(snapshot, asked)
+        except LbacalError as error:  # as a server says it
+            raise RefusedError(error.status, error.code, str(error)) from error
+        for name in names:
             station = snapshot.stations[name]
             digest = _at(station["edges"], asked.at)
             if digest is not None:

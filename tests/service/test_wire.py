@@ -130,6 +130,21 @@ def test_who_is_answered_from_the_cache_is_told_at_once(factory: Factory, tagged
 
 
 @pytest.mark.usefixtures("cache")
+@pytest.mark.parametrize("asked", [PATH | {"antenna": 77}, PATH | {"station": "CS999"}])
+def test_what_a_server_refuses_a_cache_refused_with_an_error_of_another_kind(
+    factory: Factory, tagged: str, asked: dict[str, Any]
+) -> None:
+    refused = list[tuple[int, str]]()
+    with listening(factory) as url, lbacal.Client(url) as client, lbacal.Client(ABSENT) as alone:
+        client.sync(tagged)
+        for one in (client, alone):
+            with pytest.raises(lbacal.RefusedError) as told:
+                one.effective(**asked, at="2014-03-01")
+            refused.append((told.value.status, told.value.code))
+    assert refused[0] == refused[1]
+
+
+@pytest.mark.usefixtures("cache")
 def test_a_server_that_took_the_question_and_said_nothing_held_the_cache_back_for_a_minute(
     factory: Factory, tagged: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
