@@ -67,7 +67,7 @@ def enter(
     antenna: Antenna = None,
     dipole: Dipole = None,
     sigma_days: Annotated[float, typer.Option(help="Standard deviation of that instant, days.", min=0.0)] = 0.0,
-    kind: Annotated[str, typer.Option(help="step, ramp or season.")] = "step",
+    kind: Annotated[str, typer.Option(help="step, ramp, season or course (noted alone).")] = "step",
     size: Annotated[float | None, typer.Option(help="Change of C (ramp: a year), a fraction.")] = None,
     size_sigma: Annotated[float | None, typer.Option(help="Its error; a ramp or season needs one.", min=0.0)] = None,
     as_json: Json = False,
