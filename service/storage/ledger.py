@@ -112,10 +112,14 @@ AHEAD_US = 60_000_000
 
 @dataclass(frozen=True)
 class Neighbour:
-    """The promotion that answers nearest to a gap, and the instant at which it ends or begins to."""
+    """The promotion that answers nearest to a gap, and the instant at which it ends or begins to.
+
+    `last` is the nearest instant at which it answers: an end is not of its interval.
+    """
 
     instant: Instant
     promotion: Promotion
+    last: Instant
 
 
 Neighbours = tuple[Neighbour | None, Neighbour | None]
@@ -312,8 +316,8 @@ class LedgerStore(Store):
                 first[one] = min(starts, key=lambda start: start[0])
         asked = [(scope, end - 1) for end, scope in last.values()] + [(scope, start) for start, scope in first.values()]
         decisive = self.decisive_at(asked, as_of)
-        before = {one: Neighbour(end, decisive[scope, end - 1]) for one, (end, scope) in last.items()}
-        after = {one: Neighbour(start, decisive[scope, start]) for one, (start, scope) in first.items()}
+        before = {one: Neighbour(end, decisive[scope, end - 1], end - 1) for one, (end, scope) in last.items()}
+        after = {one: Neighbour(start, decisive[scope, start], start) for one, (start, scope) in first.items()}
         return {one: (before.get(one), after.get(one)) for one in scopes_of}
 
     def edges(self, as_of: Instant) -> dict[str | None, set[Instant]]:

@@ -14,7 +14,7 @@ from lbacal_core.calibration.spreads import ServedCurve, serve_reference
 from lbacal_core.curves.curves import OK, UNCERTAIN
 from lbacal_core.curves.reference_chain import ReferenceChain
 from lbacal_core.curves.validity import Instant, Promotion, Scope, Stretch
-from lbacal_core.errors import BadInputError, name_path, require_antenna, require_name
+from lbacal_core.errors import BadInputError, name_path, require_antenna, require_name, write_change
 from lbacal_core.instrument.antennas import AntennaRecord
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import Remembered
@@ -22,7 +22,7 @@ from service.errors import NotInEffectError
 from service.storage.alarms import Doubt
 from service.storage.changes import DISMISSED, STEP, Cut, Epoch, KeptChange, concerns, split_epochs
 from service.storage.database import Database
-from service.storage.ledger import Neighbours, pick_answering
+from service.storage.ledger import Neighbour, Neighbours, pick_answering
 from service.storage.processes import SCHEDULER
 from service.storage.spectra import Window
 from service.storage.versions import Version, Waiting
@@ -277,9 +277,13 @@ class Calibrations:
         waits, doubts = ({}, {}) if as_of is not None else self._ask_of_now(at, None if near is None else paths)
         of_antenna, dismissed = group_by_antenna(kept), [one for one in kept if one.decision == DISMISSED]
         answers = pick_answering(asked)
-        held: Mapping[Scope, Promotion] = {}
+        held: dict[Scope, Neighbour] = {}
         if len(answers) < len(paths) and (hold or not answers):
-            asked, answers, held = self._look_around(at, paths, as_of, waits, hold=hold)
+            asked, answers, held = self._look_around(at, paths, as_of, waits, of_antenna, hold=hold)
+        waits_at = {at: waits} | {
+            last: self._ask_of_now(last, None if near is None else paths)[0]
+            for last in ({one.last for one in held.values()} if as_of is None else ())
+        }
         names = (str(promotion.calibration) for promotion in answers.values())
         versions = self.versions.get_many(names, lambda ids: self.database.look(lambda s: s.versions.get_many(ids)))
         lacking = [path for path, said in answers.items() if not versions[str(said.calibration)].serves(path.dipole)]
@@ -289,6 +293,7 @@ class Calibrations:
             for path in lacking:
                 asked[path] = [*asked[path], *array]
                 del answers[path]
+                held.pop(path, None)
                 answers.update((path, one) for one in array if of_array[str(one.calibration)].serves(path.dipole))
             if not answers:
                 name = name_path(*lacking[0].parts)
@@ -304,12 +309,11 @@ class Calibrations:
         def list_curves(path: Scope, promotion: Promotion) -> Iterator[CurveInEffect]:
             """The curve that a path is served; of an array that was asked for by itself, those of its chains."""
             version, trace = versions[str(promotion.calibration)], tuple(asked[path])
-            is_held = promotion == held.get(path)
+            is_held, last = path in held, held[path].last if path in held else at
             chain = version.chains.get(str(path.dipole))
             records = () if chain is None else chain.cables.records.get(path.parts[:2], ())
             scope, epoch = promotion.scope, _find_epoch(path, at, of_antenna, records)
-            alike = (waits[one] for one in path.widening[: path.widening.index(scope) + 1] if one in waits)
-            newer = [one for one in alike if is_held or one.scope != scope or one.made > version.made][:1]
+            newer = _list_waiting(path, promotion, version, waits if is_held else {}, waits_at.get(last, {}))[:1]
             between = epoch, next(iter(newer), None), _find_dismissed(dismissed, scope, version)
             said = [(cut, bridging.get((scope, cut.date))) for cut in cuts[scope]]
             over = [(cut, by) for cut, by in said if by and by.calibration == promotion.calibration]
@@ -320,15 +324,15 @@ class Calibrations:
                 *(doubts[of] for of in (path, version.id) if of in doubts),
                 *(one.sentence for one in newer if one.doubts_wider and one.scope != scope),
             ]
-            changed = next(filter(None, warnings), None)
+            told = [*_warn_held(path, at, last, of_antenna, records), *list(filter(None, warnings))[:1]]
             slow = find_slow(scope, of_antenna)
-            served, step = (promotion, is_held, trace), at // SLOW_STEP_US
+            served, step = (promotion, is_held, trace), last // SLOW_STEP_US
             followed = slow, step * SLOW_STEP_US + SLOW_STEP_US // 2 if slow else None
             cable = version.cable_of(path, at)
             unknown = at if cable is None and chain is not None else None
-            told = *served, cable, unknown, changed, *between, *followed, version, at
+            of_version = *served, cable, unknown, "; ".join(told) or None, *between, *followed, version, at
             for dipole in [path.dipole] if path.dipole else [curve.dipole for curve in version.curves]:
-                yield CurveInEffect(path, dipole, *told)
+                yield CurveInEffect(path, dipole, *of_version)
 
         curves = [curve for path in paths if path in answers for curve in list_curves(path, answers[path])]
         return InEffect(at, curves, [path for path in paths if path not in answers], budgets)
@@ -352,8 +356,15 @@ class Calibrations:
         return answers, self.database.look(lambda s: s.versions.get_many(names))
 
     def _look_around(
-        self, at: Instant, paths: Sequence[Scope], as_of: Instant | None, waits: Mapping[Scope, Waiting], *, hold: bool
-    ) -> tuple[dict[Scope, list[Promotion]], dict[Scope, Promotion], dict[Scope, Promotion]]:
+        self,
+        at: Instant,
+        paths: Sequence[Scope],
+        as_of: Instant | None,
+        waits: Mapping[Scope, Waiting],
+        of_antenna: ByAntenna,
+        *,
+        hold: bool,
+    ) -> tuple[dict[Scope, list[Promotion]], dict[Scope, Promotion], dict[Scope, Neighbour]]:
         """What was asked of the ledger, what answers, and what of it is held, where there is a gap; at one instant."""
         with self.database.read() as stores:
             asked = stores.ledger.answers(paths, at, as_of)
@@ -362,13 +373,13 @@ class Calibrations:
             # without `hold` the sentence names the neighbours of one path only
             served = missing if hold else missing[:1]
             found = stores.ledger.neighbours({path: path.widening for path in served}, at, as_of)
-        near = {path: _nearest(found[path], at) for path in missing} if hold else {}
-        held = {path: promotion for path, promotion in near.items() if promotion is not None}
+        near = {path: _nearest(path, found[path], at, of_antenna) for path in missing} if hold else {}
+        held = {path: neighbour for path, neighbour in near.items() if neighbour is not None}
         if missing and not decisive and not held:
             waiting = next((waits[scope].sentence for scope in missing[0].widening if scope in waits), None)
             why = [*_tell_withdrawn(asked[missing[0]]), *([waiting] if waiting else [])]
             raise NotInEffectError(_explain_gap(missing, found[missing[0]], at, as_of, why))
-        return asked, decisive | held, held
+        return asked, decisive | {path: one.promotion for path, one in held.items()}, held
 
     def write(
         self, curves: Iterable[CurveInEffect], write: Callable[[CurveInEffect], WrittenCurve]
@@ -475,6 +486,34 @@ def _warn_near(path: Scope, epoch: Epoch, at: Instant, of_antenna: ByAntenna, ve
             yield f"{told}: C may still be that of the other side"
 
 
+def _list_waiting(
+    path: Scope, said: Promotion, version: Version, of_gap: Mapping[Scope, Waiting], beside: Mapping[Scope, Waiting]
+) -> list[Waiting]:
+    """List what waits in a gap of a path, and what is narrower or newer than the version that answers beside it."""
+    alike = path.widening[: path.widening.index(said.scope) + 1]
+    newer = [beside[one] for one in alike if one in beside]
+    in_gap = [of_gap[one] for one in alike if one in of_gap]
+    return [*in_gap, *(one for one in newer if one.scope != said.scope or one.made > version.made)]
+
+
+def _warn_held(
+    path: Scope, at: Instant, last: Instant, of_antenna: ByAntenna, records: Iterable[AntennaRecord]
+) -> Iterator[str]:
+    """Warnings about changes of a path between an instant and the one at which what is held was last in effect."""
+    own = [one for one in _of(of_antenna, path.station, path.antenna) if concerns(one, path.antenna, path.dipole)]
+    sizes: dict[int | None, str] = {
+        one.number: f" by {write_change(one.change.size, one.change.size_sigma or 0.0)}"
+        for one in own
+        if one.change.size is not None
+    }
+    for epoch in split_epochs(path, own, records):
+        if epoch.start is not None and min(at, last) < epoch.start <= max(at, last):
+            who, day = name_path(path.station, path.antenna), format_instant(epoch.start)[:10]
+            told = "a record of the instrument" if epoch.because is None else f"change {epoch.because}"
+            side = "before" if last < at else "after"
+            yield f"{who} changed on {day}{sizes.get(epoch.because, '')} ({told}): C held is that of {side}"
+
+
 def _find_epoch(path: Scope, at: Instant, of_antenna: ByAntenna, records: Sequence[AntennaRecord]) -> Epoch:
     """The epoch of a path, or of a whole station, in which an instant lies: both dipoles are cut alike."""
     own = _of(of_antenna, path.station, path.antenna)
@@ -519,11 +558,11 @@ def _tell_withdrawn(asked: Iterable[Promotion]) -> list[str]:
     ]
 
 
-def _nearest(neighbours: Neighbours, at: Instant) -> Promotion | None:
+def _nearest(path: Scope, neighbours: Neighbours, at: Instant, of_antenna: ByAntenna) -> Neighbour | None:
+    """The nearer of two neighbours on the same side of the changes of a path; of equally near ones that before."""
     near = [neighbour for neighbour in neighbours if neighbour is not None]
-    # of two that are equally near the one before
-    nearest = min(near, key=lambda neighbour: abs(neighbour.instant - at), default=None)
-    return nearest.promotion if nearest else None
+    is_beyond = {one: any(_warn_held(path, at, one.last, of_antenna, ())) for one in near}
+    return min(near, key=lambda one: (is_beyond[one], abs(one.instant - at)), default=None)
 
 
 def _explain_gap(

@@ -263,6 +263,54 @@ def test_a_gap_names_its_neighbours_and_can_be_held(client: TestClient, stored: 
     assert "%2B" in client.get("/v1/calibrations/effective?at=2014-06-20T00:00:00+02:00").json()["detail"]
 
 
+def test_c_held_over_a_change_was_served_without_a_word_of_it_though_a_version_of_its_own_side_was_there(
+    client: TestClient, stored: Stored
+) -> None:
+    at = {"value": "2016-02-01", "sigma_days": 0.1}
+    size = {"value": 0.3, "sigma": 0.01}
+    body = {"paths": [{"station": "CS001", "antenna": 0, "dipole": "X"}], "at": at, "size": size, "reason": "test"}
+    assert client.post("/v1/changes", json=body).status_code == 201
+    promote(client, stored["array"], "2014-01-01", "2016-01-01")
+
+    def hold(at: str, **path: Any) -> tuple[str, str]:
+        (curve,) = ask(client, at, gap="hold", **PATH | path).json()["curves"]
+        return curve["calibration"], curve["flag_reason"]
+
+    held = "held: nothing is in effect, the nearest in time answers"
+    said = "CS001 antenna 0 changed on 2016-02-01 by +30.00 ± 1.00 % (change 1): C held is that of before"
+    assert hold("2016-03-01")[1].split("; ")[:2] == [held, said]
+    for at, path in (("2016-01-31", {}), ("2016-03-01", {"dipole": "Y"}), ("2016-03-01", {"antenna": 1})):
+        assert said not in hold(at, **path)[1]
+    promote(client, stored["other"], "2016-09-01", "2016-10-01")
+    assert hold("2016-03-01") == (stored["other"].id, held), "the nearest in time is of before"
+    assert hold("2016-01-31")[0] == stored["array"].id
+
+
+def test_c_held_followed_a_ramp_without_limit(client: TestClient, stored: Stored, factory: Factory) -> None:
+    ramp = Change("CS001", ((0, "X"),), "ramp", instant("2013-01-01"), 0, 0.05, 0.001)
+    with factory.database.write() as stores:
+        stores.changes.note(ramp, Evidence("drift", "", 9.0, 0))
+    promote(client, stored["path"], "2014-01-01", "2015-01-01")
+    last, *held = (
+        ask(client, at, gap="hold", **PATH).json()["curves"][0]["factor"]
+        for at in ("2014-12-31T23:59", "2015-01-01", "2020-01-01", "2040-01-01")
+    )
+    assert held == [last] * 3
+
+
+def test_what_waits_was_no_more_told_once_the_window_was_over(
+    client: TestClient, stored: Stored, factory: Factory
+) -> None:
+    gated = replace(stored["path"], inputs={"name": "gated"}, made=stored["path"].made + 1, gate="a jump")
+    with factory.database.write() as stores:
+        stores.versions.add([gated])
+    promote(client, stored["station"], "2014-01-01", format_instant(gated.until))
+    said = f"version {gated.id[:12]} of CS001 antenna 0 X waits for a person to promote it (a jump)"
+    for at in (gated.until - 1, gated.until):
+        (curve,) = ask(client, format_instant(at), gap="hold", **PATH).json()["curves"]
+        assert said in curve["flag_reason"]
+
+
 def test_a_station_that_the_instrument_has_no_more_is_known_to_who_reads(
     client: TestClient, stored: Stored, factory: Factory, instrument: Instrument, tmp_path: Path
 ) -> None:
