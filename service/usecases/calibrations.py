@@ -463,11 +463,14 @@ def _warn_of_both(
     path: Scope, version: Version, of_antenna: ByAntenna, have_spectra: Callable[..., bool]
 ) -> Iterator[str]:
     """Warnings about C fitted to spectra of both sides of a change, of a mean or of what a person put there."""
+    span = (version.curve_of(path.dipole) if path.dipole else version.curves[0]).span_unix
     for one in _of(of_antenna, path.station, path.antenna):
         date = one.change.date
         if not one.cuts or not concerns(one, path.antenna, path.dipole) or not version.is_over(date):
             continue
-        if have_spectra(Window(version.since, date, version.scope), Window(date, version.until, version.scope)):
+        sides = Window(version.since, date, version.scope), Window(date, version.until, version.scope)
+        # without the span of its spectra, those that are there now tell
+        if have_spectra(*sides) if span is None else span[0] < date / SECOND_US <= span[1]:
             who, day = name_path(path.station, path.antenna), format_instant(date)[:10]
             told = f"{who} changed on {day} (change {one.number})"
             yield f"{told}: C in effect was fitted to spectra of before and after"

@@ -164,6 +164,25 @@ def test_a_mean_over_a_change_of_its_path_and_a_pin_that_was_fitted_over_one_wer
         assert said not in str(other["flag_reason"])
 
 
+@pytest.mark.parametrize(("last", "is_told"), [("2014-06-30", False), ("2014-07-02", True)])
+def test_c_of_before_a_change_was_said_to_be_of_both_sides_as_soon_as_later_spectra_came(
+    client: TestClient, stored: Stored, factory: Factory, last: str, is_told: bool
+) -> None:
+    """Its window was the year, and its spectra ended before the change."""
+    span = instant("2014-01-01") / 1e6, instant(last) / 1e6
+    curves = [replace(one, span_unix=span) for one in stored["path"].curves]
+    version = replace(stored["path"], curves=curves, inputs={"name": last}, made=stored["path"].made + 1)
+    with factory.database.write() as stores:
+        stores.versions.add([version])
+    times = (instant(f"2014-{month}-01") / 1e6 for month in ("03", "09"))
+    add_spectra(factory, flat_spectra(*((f"e{at}", at, "CS001", 0, "X") for at in times)))
+    body = {"paths": [{"station": "CS001", "antenna": 0}], "at": {"value": "2014-07-01"}, "reason": "test"}
+    assert client.post("/v1/changes", json=body).status_code == 201
+    promote(client, version, "2014-01-01", "2014-07-01")
+    (curve,) = ask(client, "2014-06-01", **PATH).json()["curves"]
+    assert ("spectra of before and after" in str(curve["flag_reason"])) == is_told
+
+
 def test_the_narrowest_scope_in_effect_answers_and_says_so(client: TestClient, stored: Stored) -> None:
     promote(client, stored["array"], "2013-01-01")
     promote(client, stored["station"], "2014-01-01", "2015-01-01")
