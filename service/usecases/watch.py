@@ -153,7 +153,7 @@ def settle_changes(stores: Stores, report: Mapping[str, Any], measured: Measured
     threshold is on record, and not found.
     """
     found = [
-        (change, max(float(member["significance"]) for member in one["members"]), bool(one["is_known"]))
+        (change, max(_list_significances(change, one["members"])), bool(one["is_known"]))
         for one in report["changes"]
         for change in read_changes(one)
     ]
@@ -183,6 +183,15 @@ def settle_changes(stores: Stores, report: Mapping[str, Any], measured: Measured
             stores.changes.end(noted[0].number, source, now)
     for number, change, by in find_moved(stores.changes.kept(), alike, measured):
         stores.changes.move(number, change, by[0])
+
+
+def _list_significances(change: Change, members: Iterable[Mapping[str, Any]]) -> list[float]:
+    """Significances of the members of a date that a change is of, standard deviations."""
+    return [
+        float(one["significance"])
+        for one in members
+        if ((one["antenna"], one["dipole"]) in change.paths if change.paths else one["antenna"] is None)
+    ]
 
 
 Alike = Mapping[tuple[str | None, str], Mapping[Change, Sequence[Evidence]]]

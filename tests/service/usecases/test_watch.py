@@ -482,6 +482,15 @@ def test_what_steps_together_by_different_sizes_is_several_changes() -> None:
     assert len(read_changes({**told, "is_known": True})) == 1
 
 
+def test_a_member_of_a_date_had_the_significance_of_the_most_significant_one(watched: Factory) -> None:
+    told = step_of(0, -0.2, error_days=1, error=0.003)
+    told["members"] += [{"antenna": 3, "dipole": "Y", "size": 0.02, "sigma": 0.003, "significance": 6.0}]
+    with watched.database.write() as stores:
+        settle_changes(stores, {"changes": [told]}, measured(2, 3), 1)
+        kept = {one.change.paths: one.evidence[0].significance for one in stores.changes.kept()}
+    assert kept == {((2, "X"),): 9.0, ((3, "Y"),): 6.0}
+
+
 def test_an_alarm_of_antennas_whose_labels_were_exchanged_gave_the_size_of_one_for_both() -> None:
     flat, size = {"value": 0.001, "sigma": 0.002}, {0: 0.5325, 4: -0.352}
     change = {
