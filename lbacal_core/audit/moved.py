@@ -73,7 +73,7 @@ def put_in_place(station: AuditedStation, moved: Sequence[Line]) -> AuditedStati
 
 
 def _put_back(seen: Floats, dipoles: list[int], time_unix: Floats) -> Iterator[Circle]:
-    """Circles of antennas, the clearest first, in values of shape (antenna, dipole, 2, time): each is put back."""
+    """Circles of antennas in values of shape (antenna, dipole, 2, time), the clearest first; each is put back."""
     is_tried = np.zeros(time_unix.size + 1, dtype=bool)
     while True:
         values = seen[:, dipoles].reshape(len(seen), -1, time_unix.size)
