@@ -325,12 +325,22 @@ class Calibrations:
                 *(one.sentence for one in newer if one.doubts_wider and one.scope != scope),
             ]
             told = [*_warn_held(path, at, last, of_antenna, records), *list(filter(None, warnings))[:1]]
-            slow = find_slow(scope, of_antenna)
-            served, step = (promotion, is_held, trace), last // SLOW_STEP_US
+            slow, step = find_slow(scope, of_antenna), last // SLOW_STEP_US
             followed = slow, step * SLOW_STEP_US + SLOW_STEP_US // 2 if slow else None
             cable = version.cable_of(path, at)
             unknown = at if cable is None and chain is not None else None
-            of_version = *served, cable, unknown, "; ".join(told) or None, *between, *followed, version, at
+            of_version = (
+                promotion,
+                is_held,
+                trace,
+                cable,
+                unknown,
+                "; ".join(told) or None,
+                *between,
+                *followed,
+                version,
+                at,
+            )
             for dipole in [path.dipole] if path.dipole else [curve.dipole for curve in version.curves]:
                 yield CurveInEffect(path, dipole, *of_version)
 
