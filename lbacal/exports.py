@@ -13,9 +13,8 @@ import numpy as np
 from lbacal.instants import SECOND_US, parse_instant
 from lbacal_core.curves.galcal import make_head
 from lbacal_core.errors import BadInputError, needing
-from lbacal_core.grids import Floats
+from lbacal_core.grids import DAY_S, JULIAN_DATE_OF_1970, Floats
 from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.instrument.sidereal import DAY_S, JULIAN_DATE_OF_1970
 
 JONES = {"X": -5, "Y": -6}
 """AIPS numbers of the gains of linear feeds (AIPS memo 117)."""

@@ -1,4 +1,4 @@
-"""Frequency grids, and the check that two inputs share one."""
+"""Frequency grids, the check that two inputs share one, and units of time."""
 
 from __future__ import annotations
 
@@ -11,6 +11,11 @@ Floats = NDArray[np.float64]
 
 GRID_TOLERANCE_MHZ = 1e-6
 """Two channels are the same when they differ by less than 1 Hz."""
+JULIAN_DATE_OF_1970 = 2_440_587.5
+"""Julian date at which Unix time begins (1970-01-01 00:00 UTC)."""
+DAY_S = 86_400.0
+YEAR_S = 365.25 * DAY_S
+"""Julian year, s."""
 WITHIN_1_SIGMA = (15.87, 84.13)
 """Percentiles between which a normal amount lies within one standard deviation."""
 

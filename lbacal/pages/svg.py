@@ -14,8 +14,7 @@ import numpy as np
 from markupsafe import Markup, escape
 
 from lbacal.pages.chart import BAND, BARS, IMAGE, NARROW, POINTS, SPAN, Chart, Series
-from lbacal_core.grids import Floats
-from lbacal_core.instrument.sidereal import DAY_S
+from lbacal_core.grids import DAY_S, Floats
 
 LETTER, ROW = 6.6, 16.0
 """Width of a letter and height of a line of text in `figures.css`, 12 px."""

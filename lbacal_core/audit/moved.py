@@ -39,9 +39,10 @@ def find_moved(station: AuditedStation) -> list[Line]:
 
     Both are those of ln P along frequency over the median antenna's, which does not care who is who, in a month before
     a date and after it. That antennas change places is held against no change, against a step of each, of any size to
-    the factor of an outlying path, and against drifts, whose steps are as large half a month before and after.
+    the factor of an outlying path, and against drifts, whose steps are as large half a month before and after. In data
+    shorter than both months, dates are not told from sidereal time, along which exchanged letters differ.
     """
-    if station.antennas.size < FEWEST_COMPANIONS:
+    if station.antennas.size < FEWEST_COMPANIONS or np.ptp(station.time_unix) < 2.0 * MONTH_S:
         return []
     power = np.log(station.power)
     power = power - np.nanmedian(power, axis=0)

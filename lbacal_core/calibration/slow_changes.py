@@ -14,8 +14,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from lbacal_core.calibration.spreads import ServedCurve
-from lbacal_core.grids import Floats
-from lbacal_core.instrument.sidereal import YEAR_S
+from lbacal_core.grids import YEAR_S, Floats
 
 POINTS = 365
 """Dates that stand for the events of a fit."""

@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 
 from lbacal_core.causes.cause import RAIN, TEMPERATURE, Cause, Conditions, SizeRange, Template
-from lbacal_core.grids import Floats
+from lbacal_core.grids import DAY_S, Floats
 from lbacal_core.instrument.chain import ChainTerms
-from lbacal_core.instrument.sidereal import DAY_S
 
 HARMONICS = 5
 """Number of harmonics of a day in LST or UTC; the sky has fewer (|m| <= 4 within 1 %)."""

@@ -16,9 +16,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from lbacal_core.grids import Floats
+from lbacal_core.grids import YEAR_S, Floats
 from lbacal_core.instrument.chain import ChainTerms, Intercepts, three_constants
-from lbacal_core.instrument.sidereal import YEAR_S
 from lbacal_core.linear import fit_least_squares
 from lbacal_core.sky.table import read_at
 

@@ -19,9 +19,8 @@ from lbacal_core.causes.cause import (
     Template,
     read_between,
 )
-from lbacal_core.grids import Floats
+from lbacal_core.grids import YEAR_S, Floats
 from lbacal_core.instrument.chain import ChainTerms
-from lbacal_core.instrument.sidereal import YEAR_S
 
 NO_TEMPERATURE = f"no column {TEMPERATURE} that varies and is known on {FEWEST_KNOWN} events"
 

@@ -25,9 +25,9 @@ from lbacal_core.causes.chain import compress
 from lbacal_core.causes.sky import NO_DIRECTIONS, SOURCE_KEYS, PointSource, SolarEmission
 from lbacal_core.errors import BadInputError
 from lbacal_core.foreign import write_instant
-from lbacal_core.grids import Floats
+from lbacal_core.grids import DAY_S, YEAR_S, Floats
 from lbacal_core.instrument.chain import ChainTerms
-from lbacal_core.instrument.sidereal import DAY_S, SIDEREAL_DAY_S, YEAR_S
+from lbacal_core.instrument.sidereal import SIDEREAL_DAY_S
 
 SIDEREAL, SOLAR, WEEK, YEAR = "LST", "UTC", "week", "year"
 ROTATION, LUNATION = "solar rotation", "lunation"

@@ -19,8 +19,7 @@ from scipy.special import stdtr, stdtrit
 from lbacal_core.drift.events import MODES, EventModes, find_months
 from lbacal_core.drift.model import FEWEST_COMPANIONS, SLOPE, Series, smooth_columns
 from lbacal_core.drift.search import Found, search_series
-from lbacal_core.grids import Floats
-from lbacal_core.instrument.sidereal import YEAR_S
+from lbacal_core.grids import YEAR_S, Floats
 from lbacal_core.linear import fit_least_squares, invert_symmetric
 
 # What all paths share: the trend of the whole, beside its scatter from year to year.

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from lbacal_core.data.tables import read_prior
 from lbacal_core.drift.events import find_months
-from lbacal_core.grids import Floats
-from lbacal_core.instrument.sidereal import YEAR_S
+from lbacal_core.grids import YEAR_S, Floats
 from lbacal_core.linear import find_whitener, invert_symmetric, minus_log_likelihood
 from lbacal_core.spectra.screening import median_over
 

@@ -14,8 +14,7 @@ from lbacal_core.drift.events import MODES
 from lbacal_core.drift.follow import Followed, History, Whole, measure_whole
 from lbacal_core.drift.members import SAME_DATE
 from lbacal_core.drift.search import Found
-from lbacal_core.grids import Floats
-from lbacal_core.instrument.sidereal import DAY_S, YEAR_S
+from lbacal_core.grids import DAY_S, YEAR_S, Floats
 
 # Change points as they are reported: what jumped at one date in one station is one change, however many paths have it.
 #

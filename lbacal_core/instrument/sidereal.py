@@ -5,14 +5,10 @@ from __future__ import annotations
 import erfa
 import numpy as np
 
-from lbacal_core.grids import Floats
+from lbacal_core.grids import DAY_S, JULIAN_DATE_OF_1970, Floats
 
-JULIAN_DATE_OF_1970 = 2_440_587.5
-"""Julian date at which Unix time begins (1970-01-01 00:00 UTC)."""
-
-DAY_S, SIDEREAL_DAY_S = 86_400.0, 86_164.0905
-"""Solar day and mean sidereal day, s."""
-YEAR_S = 365.25 * DAY_S
+SIDEREAL_DAY_S = 86_164.0905
+"""Mean sidereal day, s."""
 
 
 def local_sidereal_time(time_unix: Floats, longitude_deg: float) -> Floats:

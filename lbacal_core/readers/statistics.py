@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 
 from lbacal_core.errors import BadInputError, reading
 from lbacal_core.foreign import parse_instant
-from lbacal_core.grids import Floats
+from lbacal_core.grids import DAY_S, JULIAN_DATE_OF_1970, Floats
 from lbacal_core.hdf5 import HDF5_FAILURES
-from lbacal_core.instrument.sidereal import DAY_S, JULIAN_DATE_OF_1970
 from lbacal_core.readers.source import Integrations, Source
 
 SUB_BANDS = 512

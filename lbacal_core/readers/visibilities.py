@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from lbacal_core.errors import BadInputError, MissingExtraError, needing, reading
-from lbacal_core.instrument.sidereal import DAY_S, JULIAN_DATE_OF_1970
+from lbacal_core.grids import DAY_S, JULIAN_DATE_OF_1970
 from lbacal_core.readers.source import Integrations, Source
 
 SUFFIXES = (".uvh5", ".uvfits")

@@ -21,7 +21,7 @@ from lbacal_core.causes.cause import Cause
 from lbacal_core.causes.model import PLAIN, Model
 from lbacal_core.curves.curves import CalibrationCurve
 from lbacal_core.errors import BadInputError
-from lbacal_core.grids import Floats, require_same_grid
+from lbacal_core.grids import DAY_S, Floats, require_same_grid
 from lbacal_core.instrument.chain import (
     FRONT_CONSTANTS,
     PUBLISHED,
@@ -31,7 +31,7 @@ from lbacal_core.instrument.chain import (
     noise_constants,
 )
 from lbacal_core.instrument.instrument import Instrument, load_instrument
-from lbacal_core.instrument.sidereal import DAY_S, SIDEREAL_DAY_S, local_sidereal_time
+from lbacal_core.instrument.sidereal import SIDEREAL_DAY_S, local_sidereal_time
 from lbacal_core.provenance import Remembered, hash_content
 from lbacal_core.simulation.prior import DEFAULT_SKY_BUDGET, SkyPrior, list_changes, sky_prior
 from lbacal_core.sky.differences import DifferenceModels, ModelDifferences, compute_model_differences

@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from lbacal_core import hdf5
 from lbacal_core.errors import BadInputError, UnreadableFileError, reading
 from lbacal_core.foreign import write_instant
-from lbacal_core.grids import Floats, guess_widths, require_channels, require_same_grid
+from lbacal_core.grids import DAY_S, Floats, guess_widths, require_channels, require_same_grid
 from lbacal_core.instrument.antennas import EXPECTED, are_dipole_names
-from lbacal_core.instrument.sidereal import DAY_S
 from lbacal_core.provenance import hash_arrays, hash_content
 
 FORMAT = "lbacal-spectra-1"

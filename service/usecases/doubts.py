@@ -15,7 +15,7 @@ from lbacal.instants import DAY_US, SECOND_US, format_instant
 from lbacal_core.curves.validity import Scope
 from lbacal_core.drift.members import SAME_DATE
 from lbacal_core.errors import name_path, write_change
-from lbacal_core.instrument.sidereal import YEAR_S
+from lbacal_core.grids import YEAR_S
 from service.storage.changes import RAMP, STEP, Change, KeptChange, concerns
 from service.usecases.calibrations import ByAntenna, find_slow, group_by_antenna
 from service.usecases.watch import read_changes

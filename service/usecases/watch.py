@@ -21,9 +21,8 @@ from lbacal_core.calibration.windows import find_hardware_changes
 from lbacal_core.curves.validity import Instant, Scope
 from lbacal_core.drift.members import name_members, split_by_size
 from lbacal_core.errors import name_path, write_change
-from lbacal_core.grids import Floats
+from lbacal_core.grids import YEAR_S, Floats
 from lbacal_core.instrument.instrument import Instrument
-from lbacal_core.instrument.sidereal import YEAR_S
 from lbacal_core.provenance import DRIFT_VERSION, MODEL_VERSION, hash_content
 from service.storage.alarms import SLOPE, STEP, News
 from service.storage.changes import DRIFT as BY_DRIFT

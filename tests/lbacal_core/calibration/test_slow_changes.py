@@ -5,7 +5,7 @@ from lbacal_core.calibration.slow_changes import SlowChange, follow_slow_changes
 from lbacal_core.calibration.spreads import serve_reference
 from lbacal_core.curves.covariance import CurveCovariance
 from lbacal_core.curves.curves import CalibrationCurve
-from lbacal_core.instrument.sidereal import YEAR_S
+from lbacal_core.grids import YEAR_S
 
 MHZ = np.array([30.0, 55.0, 80.0])
 YEAR = (0.0, YEAR_S)

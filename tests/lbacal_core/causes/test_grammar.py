@@ -39,7 +39,7 @@ from lbacal_core.causes.grammar import (
 from lbacal_core.causes.model import AdoptedCause, Model, follows_date
 from lbacal_core.causes.sky import SOURCE_KEYS
 from lbacal_core.errors import BadInputError
-from lbacal_core.instrument.sidereal import DAY_S
+from lbacal_core.grids import DAY_S
 
 SENTENCE = Sentence()
 

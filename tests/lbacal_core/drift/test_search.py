@@ -3,7 +3,7 @@ import pytest
 
 from lbacal_core.drift.model import Series, SeriesModel, median_of_members
 from lbacal_core.drift.search import FALSE_ALARMS, Found, search_series
-from lbacal_core.instrument.sidereal import YEAR_S
+from lbacal_core.grids import YEAR_S
 
 DAY = 86_400.0
 NOISE = 0.017

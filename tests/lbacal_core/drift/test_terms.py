@@ -21,7 +21,7 @@ from lbacal_core.drift.model import (
     score_steps,
     smooth_columns,
 )
-from lbacal_core.instrument.sidereal import YEAR_S
+from lbacal_core.grids import YEAR_S
 
 MONTHS = 60
 TIME = np.arange(MONTHS) * YEAR_S / 12

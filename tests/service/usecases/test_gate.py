@@ -12,7 +12,7 @@ from lbacal_core.curves.curves import CONVERGED, TOO_FEW_EVENTS, CalibrationCurv
 from lbacal_core.curves.reference_chain import CableTable, ReferenceChain
 from lbacal_core.curves.validity import Promotion, Scope
 from lbacal_core.drift.members import name_members
-from lbacal_core.instrument.sidereal import YEAR_S
+from lbacal_core.grids import YEAR_S
 from service.factory import Factory
 from service.storage.changes import STEP, Change, Cut, Decision, Evidence, KeptChange
 from service.storage.models import Announced, ModelChange

@@ -15,7 +15,7 @@ from lbacal_core.causes.model import Model
 from lbacal_core.curves.kept_lines import KeptLines
 from lbacal_core.curves.validity import Scope
 from lbacal_core.discovery.calibrate import FittedCauses
-from lbacal_core.instrument.sidereal import YEAR_S
+from lbacal_core.grids import YEAR_S
 from service.storage.changes import Cut
 from service.storage.sums import KeptPiece
 from service.usecases.fits import Wanted, _list_cuts, _name_sizes, _take_out
