@@ -90,12 +90,13 @@ def test_an_admin_refits_and_sees_the_job(service: Any) -> None:
         "refit", "--scope", "station", "--since", "2014-03-01", "--until", "2015-03-01", "--reason", "half a year later"
     )
     assert asked.returncode == 0, asked.stderr
-    line, version = asked.stdout.splitlines()
+    line, version, why = asked.stdout.splitlines()
     assert "refit station 2014-03-01 to 2015-03-01, done (100%), versions: 1, promoted: 0, no news: 0; " in line
     assert line.endswith("half a year later")
     assert line in service.run("jobs").stdout
     made = re.fullmatch(r"  ([0-9a-f]{12}) made", version)
     assert made is not None, "what is put into effect next is named"
+    assert why.startswith("  not promoted: nobody asked for it; lbacal promote --job ")
     tried = service.do("promote", made[1], "--reason", "looked at", "--dry-run")
     assert "dry run: nothing was written" in tried
 
