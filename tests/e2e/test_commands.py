@@ -90,7 +90,7 @@ def test_an_admin_refits_and_sees_the_job(service: Any) -> None:
         "refit", "--scope", "station", "--since", "2014-03-01", "--until", "2015-03-01", "--reason", "half a year later"
     )
     assert asked.returncode == 0, asked.stderr
-    line, version, why = asked.stdout.splitlines()
+    line, why, version = asked.stdout.splitlines()
     assert "refit station 2014-03-01 to 2015-03-01, done (100%), versions: 1, promoted: 0, no news: 0; " in line
     assert line.endswith("half a year later")
     assert line in service.run("jobs").stdout
