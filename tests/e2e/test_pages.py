@@ -73,7 +73,7 @@ def test_station_antenna_and_date_lead_to_c_with_both_errors(page: Page, service
         "noise of",
     ):
         expect(page.locator(f"#date svg[aria-label^='{title}']")).to_be_visible()
-    for error in ("total error", "statistical (dark)"):
+    for error in ("total error", "statistical"):
         expect(drawn.first.locator("text").filter(has_text=error)).to_have_count(1)
     assert drawn.first.locator("path.band").count() == 4, "two bands, and each beside its name"
     asked = {"station": "CS002", "antenna": 1, "dipole": "Y", "at": "2014-05-20"}
