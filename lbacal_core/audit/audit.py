@@ -7,7 +7,7 @@ single antennas whose dipoles are exchanged; what the others saw of the sky come
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -100,11 +100,11 @@ def audit(
 
 def _audit(
     stations: Sequence[AuditedStation],
-    whole: Sequence[AuditedStation],
+    whole: Iterable[AuditedStation],
     instrument: Instrument,
     models: Callable[[], SkyModels] | None,
 ) -> AuditReport:
-    """Audit stations, of which `whole` has all events: dates are looked for in these."""
+    """Audit stations, of which `whole` has all events, one at a time: dates are looked for in these."""
     lines: list[Line] = []
     with warnings.catch_warnings():
         # nothing recorded
@@ -239,7 +239,7 @@ def audit_quickly(spectra: Spectra, instrument: Instrument) -> QuickAudit:
         return QuickAudit(AuditReport((), ()))
     stations = tuple(split_stations(spectra.select(np.sort(chosen)), instrument))
     compared = {one.name for one in stations}
-    whole = tuple(one for one in split_stations(spectra, instrument) if one.name in compared)
+    whole = (one for one in split_stations(spectra, instrument) if one.name in compared)
     return QuickAudit(_audit(stations, whole, instrument, None))
 
 

@@ -63,6 +63,8 @@ def find_moved(station: AuditedStation) -> list[Line]:
 
 def put_in_place(station: AuditedStation, moved: Sequence[Line]) -> AuditedStation:
     """The station with each antenna in its place, as the lines of `find_moved` say."""
+    if not moved:
+        return station
     power = station.power.copy()
     for line in moved:
         during = np.flatnonzero(line.is_during(station.time_unix))

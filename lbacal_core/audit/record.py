@@ -29,8 +29,8 @@ SITE = Description(
     "the station stands elsewhere than its record says",
     "compare the coordinates on record with a map; the transit of the Sun or of a pulsar tells the longitude by itself",
 )
-PLACES = Description(
-    "antenna_exchange", "", "two antennas change places on a date", "follow the cables of both to their receivers"
+RECABLED = Description(
+    "antenna_exchange", "", "antennas change places on a date", "follow the cable of each to its receiver"
 )
 """These have no size, and are no causes that a model could adopt."""
 EXCHANGE = "exchange"
@@ -41,14 +41,14 @@ _OF_KIND = {
     "clock": "lst_offset",
     SUMMER_TIME: "lst_offset",
     "longitude sign": "lst_offset",
-    MOVED: PLACES.identifier,
+    MOVED: RECABLED.identifier,
     "latitude": SITE.identifier,
     "latitude sign": SITE.identifier,
     "latitude for longitude": SITE.identifier,
 }
 OF_RECORD = frozenset(_OF_KIND.values())
 """Causes that an error of the record is."""
-_BY_NAME: dict[str, Description] = {one.identifier: one for one in (*CAUSES, SITE, PLACES)}
+_BY_NAME: dict[str, Description] = {one.identifier: one for one in (*CAUSES, SITE, RECABLED)}
 OF_NOBODY_S = 43_200.0
 """Spectra so near to where a clock became another are left out, s: twelve hours, the most that a clock is off."""
 EXCHANGED = 1.0

@@ -345,9 +345,8 @@ def _estimate(model: LinearModel, one: ScoredSentence, length: Lengths, *, of_la
 def move_numbers(model: LinearModel, terms: ChainTerms, one: Hypothesis) -> Hypothesis | None:
     """The same with the numbers of its curve one step of Newton on, in what a fit with it leaves; None without a curve.
 
-    Estimated to first order, the curve of a large effect is that of ln (1 + effect): power of 0.57 that was added in
-    front of an amplifier, 0.21 at the other end of the band, was 0.63. The scatter of its size is that of the largest
-    value of the curve.
+    Estimated to first order, the curve of a large effect is that of ln (1 + effect): power of 0.59 of the mean power of
+    the sky at one end of the band was 0.63. The scatter of its size is that of the largest value of the curve.
 
     Parameters
     ----------

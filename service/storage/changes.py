@@ -161,8 +161,8 @@ class Cut:
 
     `dipoles` are those that changed, None for both, and `power` is theirs after it over that before; None where the
     size of the change is not known. `shape` are the Legendre coefficients 1 and 2 of ln of it over the band. With
-    `slow` it is no step: C follows it, and no window is cut. `sigma` is the error of the date,
-    and `known` the instant since which it is in force.
+    `slow` it is no step: C follows it, and no window is cut. `sigma` is the error of the date, and `known` the instant
+    since which it is in force.
     """
 
     station: str

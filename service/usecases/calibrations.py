@@ -326,21 +326,10 @@ class Calibrations:
             ]
             told = [*_warn_held(path, at, last, of_antenna, records), *list(filter(None, warnings))[:1]]
             slow, step = find_slow(scope, of_antenna), last // SLOW_STEP_US
-            followed = slow, step * SLOW_STEP_US + SLOW_STEP_US // 2 if slow else None
+            followed = slow, step * SLOW_STEP_US + SLOW_STEP_US // 2 if slow else None, version, at
             cable = version.cable_of(path, at)
             unknown = at if cable is None and chain is not None else None
-            of_version = (
-                promotion,
-                is_held,
-                trace,
-                cable,
-                unknown,
-                "; ".join(told) or None,
-                *between,
-                *followed,
-                version,
-                at,
-            )
+            of_version = promotion, is_held, trace, cable, unknown, "; ".join(told) or None, *between, *followed
             for dipole in [path.dipole] if path.dipole else [curve.dipole for curve in version.curves]:
                 yield CurveInEffect(path, dipole, *of_version)
 
