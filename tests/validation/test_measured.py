@@ -35,7 +35,8 @@ def test_the_tables_become_sky_power_without_the_antenna_gain(shared, instrument
 @pytest.mark.usefixtures("shared")
 def test_the_measured_curve_asks_both_simulations_to_exchange_the_letters(instrument):
     for question in main_questions(instrument):
-        assert "dipole_swap" in [finding.choice.cause.identifier for finding in question.ask(instrument).findings]
+        found = question.ask(instrument)
+        assert "dipole_swap" in [found.last.labels[finding.place] for finding in found.findings]
 
 
 def test_the_simulation_drawn_in_the_figure_is_the_tables_exchanged_and_an_hour_later(shared, instrument, tables):
