@@ -10,22 +10,29 @@ SAME_DATE = 3.0
 """Standard deviations of the difference of two dates, or sizes, within which they are one."""
 
 
-def split_by_size(change: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Split a change into those of one size: both polarisations of an antenna are one, and others whose sizes agree.
+def split_by_size(change: Mapping[str, Any], *, keep_antennas: bool = False) -> list[dict[str, Any]]:
+    """Split a change into those of one size, that of the most significant member, which gives its shape as well.
 
-    The shape is that of the most significant member, in the first; the others have none.
+    Parameters
+    ----------
+    keep_antennas
+        Both polarisations of an antenna are one change, whatever their sizes.
     """
     groups: list[list[Mapping[str, Any]]] = []
     for member in change["members"]:
-        own = next((group for group in groups if _is_of_one_size(group[0], member)), None)
+        alike = (
+            group for group in groups
+            if is_of_one_size(group[0], member) or (keep_antennas and group[0]["antenna"] == member["antenna"])
+        )  # fmt: skip
+        own = next(alike, None)
         groups.append([member]) if own is None else own.append(member)
-    first, *others = ({**change, **group[0], "members": group} for group in groups)
-    return [first, *({**one, "shape": {}} for one in others)]
+    bare = {**change, "shape": {}}  # as members of reports that were stored without shapes have it
+    return [{**(bare if k else change), **group[0], "members": group} for k, group in enumerate(groups)]
 
 
-def _is_of_one_size(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-    reach = SAME_DATE * math.hypot(one["sigma"], other["sigma"])
-    return bool(one["antenna"] == other["antenna"] or abs(one["size"] - other["size"]) <= reach)
+def is_of_one_size(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    """Whether the sizes of two members agree within their errors."""
+    return bool(abs(one["size"] - other["size"]) <= SAME_DATE * math.hypot(one["sigma"], other["sigma"]))
 
 
 def name_members(members: Sequence[Mapping[str, Any]], most: int) -> str:

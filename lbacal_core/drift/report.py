@@ -29,12 +29,12 @@ BY_CHANCE = 10.0
 
 @dataclass(frozen=True)
 class Member:
-    """A path that steps, or with `antenna` None a polarisation of the station; size is the change of ln C."""
+    """A path that steps, or with `antenna` None a polarisation of the station; the change of ln C, one entry a mode."""
 
     antenna: int | None
     dipole: str
-    size: float
-    sigma: float
+    size: tuple[float, ...]
+    sigma: tuple[float, ...]
     significance: float
 
 
@@ -50,8 +50,6 @@ class Change:
         Median and standard deviation of the date.
     earliest_unix, latest_unix
         The interval that holds 95 % of its probability.
-    size, size_sigma
-        Those of the most significant member, one entry a mode: gain, tilt, curvature of ln C.
     significance
         Standard deviations, corrected for nothing: `Followed` says from which on something is found.
     is_known
@@ -64,8 +62,6 @@ class Change:
     date_sigma_s: float
     earliest_unix: float
     latest_unix: float
-    size: tuple[float, ...]
-    size_sigma: tuple[float, ...]
     significance: float
     is_known: bool
 
@@ -108,13 +104,11 @@ def _steps(found: Found, owners: Sequence[tuple[str, int | None, str]]) -> Itera
         size, sigma = tuple(found.step_size[k, j].tolist()), tuple(found.step_size_sigma[k, j].tolist())
         yield Change(
             station,
-            (Member(antenna, dipole, size[0], sigma[0], significance),),
+            (Member(antenna, dipole, size, sigma, significance),),
             date,
             0.0 if known else float(found.step_sigma_s[k, j]),
             date if known else float(found.step_earliest[k, j]),
             date if known else float(found.step_latest[k, j]),
-            size,
-            sigma,
             significance,
             known,
         )
@@ -210,25 +204,22 @@ def _silent(history: History) -> Iterator[dict[str, Any]]:
 def _change(change: Change) -> dict[str, Any]:
     return {
         "station": change.station,
-        "members": [
-            {
-                "antenna": one.antenna,
-                "dipole": one.dipole,
-                "size": round(float(np.expm1(one.size)), DIGITS),
-                "sigma": round(one.sigma, DIGITS),
-                "significance": round(one.significance, 2),
-            }
-            for one in change.members
-        ],
+        "members": [{"antenna": one.antenna, "dipole": one.dipole, **_sized(one)} for one in change.members],
         "date_unix": change.date_unix,
         "date_sigma_days": change.date_sigma_s / DAY_S,
         "earliest_unix": change.earliest_unix,
         "latest_unix": change.latest_unix,
-        "size": round(float(np.expm1(change.size[0])), DIGITS),
-        "sigma": round(change.size_sigma[0], DIGITS),
-        "shape": _of_modes(change.size[1:], change.size_sigma[1:]),
-        "significance": round(change.significance, 2),
+        **_sized(change.members[0]),
         "is_known": change.is_known,
+    }
+
+
+def _sized(one: Member) -> dict[str, Any]:
+    return {
+        "size": round(float(np.expm1(one.size[0])), DIGITS),
+        "sigma": round(one.sigma[0], DIGITS),
+        "shape": _of_modes(one.size[1:], one.sigma[1:]),
+        "significance": round(one.significance, 2),
     }
 
 

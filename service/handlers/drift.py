@@ -40,6 +40,7 @@ from service.wire.answers import describe_scope, fill_answer
 from service.wire.bodies import AcknowledgementBody, ChangeBody, DecisionBody, parse_body
 
 router = APIRouter(tags=["drift"])
+OF_C = {"unit": "fraction of C"}
 
 
 @reads(router, "/v1/drift", wire.DriftAnswer, takes_turn=True)
@@ -214,7 +215,7 @@ def _describe_evidence(one: Evidence) -> dict[str, Any]:
 
 def _describe_estimate(of: Change | Evidence) -> dict[str, Any]:
     """The date and the size."""
-    size = None if of.size is None else {"value": of.size, "sigma": of.size_sigma or 0.0, "unit": "fraction of C"}
+    size = None if of.size is None else {"value": of.size, "sigma": of.size_sigma or 0.0, **OF_C}
     at = None if of.date is None else {"value": format_instant(of.date), "sigma_days": (of.sigma or 0) / DAY_US}
     return {"at": at, "size": size}
 
@@ -223,9 +224,13 @@ def describe_change(kept: KeptChange, use: Factory) -> dict[str, Any]:
     """Describe a change as JSON values of `PathChangeAnswer`."""
     change, said, first = kept.change, kept.said, kept.evidence[0]
     paths = [{"station": change.station, "antenna": antenna, "dipole": dipole} for antenna, dipole in change.paths]
+    own = [
+        {"antenna": one.antenna, "dipole": one.dipole, "value": one.size, "sigma": one.size_sigma, **OF_C}
+        for one in change.own
+    ]
     return fill_answer(
         wire.PathChangeAnswer, kept, change, id=kept.number, paths=paths or None, array=change.station is None,
-        **_describe_estimate(change), shape=change.shape(use.instrument.frequency_mhz),
+        **_describe_estimate(change), own_sizes=own, shape=change.shape(use.instrument.frequency_mhz),
         evidence=[_describe_evidence(one) for one in kept.evidence],
         by=first.source if said is None else said.by,
         reason=f"found by {first.source}" if said is None else said.reason,

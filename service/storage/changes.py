@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -44,7 +44,19 @@ def is_same_date(one: tuple[Instant, Instant], other: tuple[Instant, Instant]) -
     return abs(one[0] - other[0]) <= SAME_DATE * math.hypot(one[1], other[1]) + DAY_US
 
 
-DATED, SIZED = ("date", "sigma"), ("size", "size_sigma", "tilt", "curvature")
+PATH, DATED, SIZED = ("antenna", "dipole"), ("date", "sigma"), ("size", "size_sigma", "tilt", "curvature")
+
+
+@dataclass(frozen=True)
+class OwnSize:
+    """The size by which a path changed where that is not the size of its change; fields as those of `Change`."""
+
+    antenna: int
+    dipole: str
+    size: float
+    size_sigma: float
+    tilt: float | None = None
+    curvature: float | None = None
 
 
 @dataclass(frozen=True)
@@ -66,6 +78,8 @@ class Change:
         from the date on, that of a season its amplitude: at the date of every year C is largest.
     tilt, curvature
         Change of ln C as the Legendre polynomials 1 and 2 over the band; None where there is none.
+    own
+        Sizes of the paths that changed by another amount.
     """
 
     station: str | None
@@ -77,6 +91,12 @@ class Change:
     size_sigma: float | None = None
     tilt: float | None = None
     curvature: float | None = None
+    own: tuple[OwnSize, ...] = ()
+
+    def of(self, antenna: int | None, dipole: str | None) -> Change:
+        """The change as a path has it: by the size of its own, if it has one."""
+        own = next((one for one in self.own if (one.antenna, one.dipole) == (antenna, dipole)), None)
+        return self if own is None else replace(self, own=(), **{name: getattr(own, name) for name in SIZED})
 
     @property
     def sigma_days(self) -> float:
@@ -92,7 +112,7 @@ class Change:
         """Change of C along frequency, a fraction; None where its size is not known."""
         if self.size is None:
             return None
-        return [float(one) for one in np.expm1(spread_over_band(self._modes(), frequency_mhz))]
+        return [float(one) for one in np.expm1(spread_over_band(self.modes, frequency_mhz))]
 
     def dipoles_of(self, antenna: int) -> tuple[str, ...] | None:
         """The dipoles of an antenna that changed; None for both."""
@@ -123,8 +143,12 @@ class Change:
             return True
         if self.size is None or other.size is None:
             return self.size is not other.size
-        reach = other.size_sigma or 0.0
-        return any(abs(one - then) > reach for one, then in zip(self._modes(), other._modes(), strict=True))
+        paths = [(None, None), *self.paths]
+        return any(
+            abs(one - then) > (other.of(*path).size_sigma or 0.0)
+            for path in paths
+            for one, then in zip(self.of(*path).modes, other.of(*path).modes, strict=True)
+        )
 
     def has_all_of(self, other: Change) -> bool:
         """Whether all antennas of another one are among its own."""
@@ -143,7 +167,20 @@ class Change:
         dated = self if abs(self.date - other.date) <= DAY_US else other
         return replace(told, date=dated.date, sigma=dated.sigma)
 
-    def _modes(self) -> tuple[float, float, float]:
+    @property
+    def power(self) -> float | None:
+        """The power after it over that before; None where its size is not known, or nothing is left to be scaled."""
+        power = None if self.size is None else (1.0 + self.size) ** -2.0  # C^2 is proportional to 1 / power
+        return None if power is None or abs(math.log(power)) > LARGEST_TAKEN_OUT else power
+
+    @property
+    def shape_of_power(self) -> tuple[float, float]:
+        """The Legendre coefficients 1 and 2 of ln of that power over the band."""
+        return -2.0 * (self.tilt or 0.0), -2.0 * (self.curvature or 0.0)
+
+    @property
+    def modes(self) -> tuple[float, float, float]:
+        """The change of ln C: in the mean over the band, and as the Legendre polynomials 1 and 2."""
         return math.log1p(self.size or 0.0), self.tilt or 0.0, self.curvature or 0.0
 
     def _has_size_of(self, other: Change) -> bool:
@@ -162,7 +199,7 @@ class Cut:
     `dipoles` are those that changed, None for both, and `power` is theirs after it over that before; None where the
     size of the change is not known. `shape` are the Legendre coefficients 1 and 2 of ln of it over the band. With
     `slow` it is no step: C follows it, and no window is cut. `sigma` is the error of the date, and `known` the instant
-    since which it is in force.
+    since which it is in force. `own` has a dipole that changed by another amount, with its power and shape.
     """
 
     station: str
@@ -174,19 +211,25 @@ class Cut:
     slow: SlowChange | None = None
     sigma: int = 0
     known: Instant = 0
+    own: tuple[tuple[str, float, tuple[float, float]], ...] = ()
 
     def begins_before(self, until: Instant) -> bool:
         """Whether it shows before an instant: a season has no beginning."""
         return self.date < until or (self.slow is not None and self.slow.is_season)
 
-    def log_power(self, time_unix: Floats, modes: Floats) -> Floats:
-        """Ln of the power over what it was before, at s UTC, shape (time, freq).
+    def step_of(self, dipole: str | None) -> tuple[float | None, tuple[float, float]]:
+        """The power of a dipole after it over that before, and its shape."""
+        return next(((power, shape) for one, power, shape in self.own if one == dipole), (self.power, self.shape))
+
+    def log_power(self, time_unix: Floats, modes: Floats, dipole: str) -> Floats:
+        """Ln of the power of a dipole over what it was before, at s UTC, shape (time, freq).
 
         `modes` are the Legendre polynomials 1 and 2 over the band, shape (2, freq).
         """
         if self.slow is not None:
             return -2.0 * np.outer(self.slow.follow(time_unix), self.slow.size + self.slow.shape @ modes)
-        return np.outer(time_unix >= self.date / SECOND_US, np.log(self.power or 1.0) + self.shape @ modes)
+        power, shape = self.step_of(dipole)
+        return np.outer(time_unix >= self.date / SECOND_US, np.log(power or 1.0) + shape @ modes)
 
     @property
     def warning(self) -> str:
@@ -306,9 +349,13 @@ class KeptChange:
         one = self.change
         if one.kind != STEP or self.is_on_record:
             return []
-        power = None if one.size is None else (1.0 + one.size) ** -2.0  # C^2 is proportional to 1 / power
-        power = None if power is None or abs(math.log(power)) > LARGEST_TAKEN_OUT else power
-        return self._of_each(power=power, shape=(-2.0 * (one.tilt or 0.0), -2.0 * (one.curvature or 0.0)))
+        cuts = self._of_each(power=one.power, shape=one.shape_of_power)
+        for k, cut in enumerate(cuts):
+            own = [(by.dipole, one.of(by.antenna, by.dipole)) for by in one.own if by.antenna == cut.antenna]
+            sized = tuple((letter, of.power, of.shape_of_power) for letter, of in own if of.power is not None)
+            # what of an antenna has no power left is no part of a mean, and no more is its other dipole
+            cuts[k] = replace(cut, own=sized) if len(sized) == len(own) else replace(cut, power=None)
+        return cuts
 
     @property
     def rank(self) -> tuple[Instant, int]:
@@ -350,7 +397,9 @@ class KeptChange:
         for one in known:
             given = () if one.date is None else DATED if one.size is None and said else (*DATED, *SIZED)
             said |= {name: getattr(one, name) for name in given}
-        return replace(self, change=replace(self.change, **said), evidence=tuple(known))
+        seen = replace(self.change, **said)
+        seen = seen if seen.size == self.change.size else replace(seen, own=())  # of what was estimated last
+        return replace(self, change=seen, evidence=tuple(known))
 
 
 def concerns(kept: KeptChange, antenna: int | None, dipole: str | None) -> bool:
@@ -474,7 +523,8 @@ class ChangeStore(Store):
             elif (evidence.source, evidence.ref) not in lasting:
                 self._add_evidence(one.number, evidence)
         if rest or not same:
-            row = to_row(replace(found, paths=rest), change, paths=json.dumps(rest), made_us=evidence.made)
+            part = replace(found, paths=rest)
+            row = to_row(part, change, paths=_write_paths(part), made_us=evidence.made)
             made = self._connection.execute(change.insert().values(row).returning(change.c.id))
             numbers.append(int(made.scalar_one()))
             self._add_evidence(numbers[-1], replace(evidence, **found.estimate))
@@ -487,7 +537,7 @@ class ChangeStore(Store):
         """
         self.end(number, evidence.source, evidence.made)
         own = update(change).where(change.c.id == number)
-        self._connection.execute(own.values(to_row(found, change, paths=json.dumps(found.paths))))
+        self._connection.execute(own.values(to_row(found, change, paths=_write_paths(found))))
         self._add_evidence(number, evidence if evidence.date is not None else replace(evidence, **found.estimate))
 
     def _add_evidence(self, number: int, evidence: Evidence) -> None:
@@ -511,10 +561,14 @@ class ChangeStore(Store):
         decisions = self._of(change_decision, Decision, numbers)
         kept = []
         for row in rows:
-            paths = tuple((antenna, dipole) for antenna, dipole in json.loads(row.paths))
+            paths = json.loads(row.paths)
+            of = {
+                "paths": tuple((antenna, dipole) for antenna, dipole, *_ in paths),
+                "own": tuple(OwnSize(*one) for one in paths if len(one) > len(PATH)),
+            }
             said = tuple(one for one in decisions.get(row.id, ()) if as_of is None or one.at <= as_of)
             own = tuple(evidence.get(row.id, ()))
-            one = KeptChange(row.id, from_row(Change, row, paths=paths), row.made_us, own, said)
+            one = KeptChange(row.id, from_row(Change, row, **of), row.made_us, own, said)
             if as_of is None or row.made_us <= as_of:
                 kept.append(one if as_of is None else one.seen_at(as_of))
         return kept
@@ -526,6 +580,12 @@ class ChangeStore(Store):
         for row in self._connection.execute(statement) if numbers else ():
             found.setdefault(row.change, []).append(from_row(kind, row))
         return found
+
+
+def _write_paths(found: Change) -> str:
+    """The antenna and dipole of each path as JSON, and the size of its own where it has one."""
+    own = {(one.antenna, one.dipole): astuple(one) for one in found.own}
+    return json.dumps([own.get((antenna, str(dipole)), (antenna, dipole)) for antenna, dipole in found.paths])
 
 
 def _choose(same: Sequence[KeptChange], date: Instant) -> list[KeptChange]:

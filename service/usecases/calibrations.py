@@ -482,7 +482,8 @@ def _warn_near(path: Scope, epoch: Epoch, at: Instant, of_antenna: ByAntenna, ve
         date, sigma = ends.get(one.number, (None, 0))
         if date is None or abs(at - date) >= REACH * sigma or not concerns(one, path.antenna, path.dipole):
             continue
-        if path.dipole is None or abs(one.change.size or math.inf) > version.curve_of(path.dipole).typical_error:
+        size = one.change.of(path.antenna, path.dipole).size or math.inf
+        if path.dipole is None or abs(size) > version.curve_of(path.dipole).typical_error:
             who, day = name_path(path.station, path.antenna), format_instant(date)[:10]
             told = f"{who} changed on {day} ± {sigma / DAY_US:.1f} days (change {one.number})"
             yield f"{told}: C may still be that of the other side"
@@ -504,9 +505,9 @@ def _warn_held(
     """Warnings about changes of a path between an instant and the one at which what is held was last in effect."""
     own = [one for one in _of(of_antenna, path.station, path.antenna) if concerns(one, path.antenna, path.dipole)]
     sizes: dict[int | None, str] = {
-        one.number: f" by {write_change(one.change.size, one.change.size_sigma or 0.0)}"
+        one.number: f" by {write_change(of.size, of.size_sigma or 0.0)}"
         for one in own
-        if one.change.size is not None
+        if (of := one.change.of(path.antenna, path.dipole)).size is not None
     }
     for epoch in split_epochs(path, own, records):
         if epoch.start is not None and min(at, last) < epoch.start <= max(at, last):

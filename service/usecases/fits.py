@@ -94,7 +94,7 @@ class Wanted:
         """The hash of these changes."""
         gated = (one for one in self.undated if not self._is_part(one))
         cuts = [[one.station, one.antenna, one.date, one.sigma] for one in (*self.cuts, *gated)]
-        return cuts + [[*astuple(one)][: -2 if one.slow else -3] for one in self.taken_out]
+        return cuts + [[*astuple(one)[: -3 if one.slow else -4], *one.own] for one in self.taken_out]
 
     @property
     def window(self) -> Window:
@@ -402,7 +402,7 @@ def _take_out(whole: FittedCauses, wanted: Wanted, neighbours: Neighbours) -> Fi
             rows = (spectra.station == one.station) & (spectra.dipole == dipole) & (spectra.antenna == antenna)
             behind, _ = neighbours.behind.get((one.station, antenna, dipole), (np.zeros(power.shape[1]), ""))
             signal = np.maximum(power[rows] - behind, 0.0)
-            power[rows] += signal * np.expm1(-one.log_power(spectra.time_unix[rows], modes))
+            power[rows] += signal * np.expm1(-one.log_power(spectra.time_unix[rows], modes, dipole))
         return power
 
     return replace(whole, unchanged=take_out)

@@ -182,7 +182,11 @@ def tell_size(change: Change, frequency_mhz: Floats) -> str:
         return ""
     shape = {name: {"value": value} for name in (TILT, CURVATURE) if (value := getattr(change, name)) is not None}
     told = tell_change(size, sigma, shape, frequency_mhz) if sigma else write_change(size, sigma)
-    return told + (" a year" if change.kind == RAMP else "")
+    own = (
+        f", {one.dipole} of antenna {one.antenna} by {tell_size(change.of(one.antenna, one.dipole), frequency_mhz)}"
+        for one in change.own
+    )
+    return told + (" a year" if change.kind == RAMP else "") + "".join(own)
 
 
 def _rank_shapes(mean: float, sigma: float, shape: Shape, frequency_mhz: Floats) -> list[_Part]:
@@ -353,10 +357,11 @@ def find_in_force(
     for one in own:
         if not first < one.date < last:
             continue
-        if one.power is None:
+        power, _ = one.step_of(scope.dipole)
+        if power is None:
             return -math.inf, math.inf
         is_earlier = version.until <= one.date or version.since < one.date <= predecessor.since
-        moved.append((0.5 if is_earlier else -0.5) * math.log(one.power))
+        moved.append((0.5 if is_earlier else -0.5) * math.log(power))
     spans = [(since / SECOND_US, until / SECOND_US) for since, until in windows]
     # where it stands at one instant, beside its mean over one window and over the other
     moved += [one.size * (one.depart(0.0, spans[1]) - one.depart(0.0, spans[0])) for one in slow]

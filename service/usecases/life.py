@@ -213,7 +213,7 @@ def _weak(changes: Sequence[KeptChange], paths: Sequence[Scope], instant: Instan
     steps.sort(key=lambda one: one.change.date)
     for path in paths:
         own = [one for one in steps if one.change.station == path.station and concerns(one, path.antenna, path.dipole)]
-        size = own[-1].change.size if own else None
+        size = own[-1].change.of(path.antenna, path.dipole).size if own else None
         if size is not None and 2.0 * math.log1p(size) > LARGEST_TAKEN_OUT:  # C^2 is proportional to 1 / power
             date = own[-1].change.date
             sentence = f"its power fell to {(1.0 + size) ** -2.0:.0%} on {format_instant(date)[:10]}"

@@ -19,14 +19,24 @@ import numpy as np
 from lbacal.instants import DAY_US, SECOND_US, format_instant
 from lbacal_core.calibration.windows import find_hardware_changes
 from lbacal_core.curves.validity import Instant, Scope
-from lbacal_core.drift.members import name_members, split_by_size
+from lbacal_core.drift.members import is_of_one_size, name_members, split_by_size
 from lbacal_core.errors import name_path, write_change
 from lbacal_core.grids import YEAR_S, Floats
 from lbacal_core.instrument.instrument import Instrument
 from lbacal_core.provenance import DRIFT_VERSION, MODEL_VERSION, hash_content
 from service.storage.alarms import SLOPE, STEP, News
 from service.storage.changes import DRIFT as BY_DRIFT
-from service.storage.changes import LARGEST_DATE_ERROR_US, PERSON, RAMP, RECORD, SEASON, Change, Evidence, KeptChange
+from service.storage.changes import (
+    LARGEST_DATE_ERROR_US,
+    PERSON,
+    RAMP,
+    RECORD,
+    SEASON,
+    Change,
+    Evidence,
+    KeptChange,
+    OwnSize,
+)
 from service.storage.database import Database, Stores
 from service.storage.jobs import Part
 from service.storage.spectra import EVENT_SPAN_US, Window
@@ -255,10 +265,19 @@ def read_changes(told: Mapping[str, Any]) -> list[Change]:
     return [
         Change(
             told["station"], _paths_of(one["members"]), STEP, date, sigma, one["size"], one["sigma"],
-            **_plain_shape(one["shape"]),
+            **_plain_shape(one["shape"]), own=_own_sizes(*one["members"]),
         )
-        for one in ([told] if told["is_known"] else split_by_size(told))
+        for one in ([told] if told["is_known"] else split_by_size(told, keep_antennas=True))
     ]  # fmt: skip
+
+
+def _own_sizes(first: Mapping[str, Any], *others: Mapping[str, Any]) -> tuple[OwnSize, ...]:
+    """Those of the other members that changed by another amount than the first."""
+    return tuple(
+        OwnSize(one["antenna"], one["dipole"], one["size"], one["sigma"], **_plain_shape(one.get("shape", {})))
+        for one in others
+        if one["antenna"] is not None and not is_of_one_size(first, one)
+    )
 
 
 def read_slow(told: Mapping[str, Any], first_unix: float) -> Iterator[tuple[Change, float]]:

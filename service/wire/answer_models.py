@@ -479,6 +479,7 @@ class DriftMember(Answer):
     dipole: str
     size: float
     sigma: float
+    shape: dict[str, Fitted] = Field(default={}, description="modes of ln C along frequency")
     significance: float
 
 
@@ -601,6 +602,13 @@ class EvidenceAnswer(Answer, populate_by_name=True):
     size: SizeAnswer | None = Field(description="size since then; null where it kept the one that it had")
 
 
+class OwnSizeAnswer(SizeAnswer):
+    """A change of C of one path."""
+
+    antenna: int
+    dipole: str
+
+
 class PathChangeAnswer(Answer):
     """A change with its date, origin and decision: one row whoever found it."""
 
@@ -611,6 +619,7 @@ class PathChangeAnswer(Answer):
     at: DatedAnswer = Field(description="as found first, or moved since by more than its error")
     kind: Literal["step", "ramp", "season", "course"]
     size: SizeAnswer | None = Field(description="of a ramp, in a year; of a season, its amplitude")
+    own_sizes: list[OwnSizeAnswer] = Field(description="of paths that changed by another amount")
     shape: list[float] | None = Field(description="the same along frequency")
     in_words: str = Field(description="by how much C changed, along frequency where that is plain")
     evidence: list[EvidenceAnswer]

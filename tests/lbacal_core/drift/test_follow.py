@@ -152,7 +152,7 @@ def test_paths_that_step_together_are_one_change_with_its_members():
     assert len(changes) == 1
     assert {(m.antenna, m.dipole) for m in changes[0].members} == {(1, "X"), (1, "Y"), (4, "X")}
     assert changes[0].date_unix == pytest.approx(START + 0.9 * YEAR, abs=5 * DAY)
-    assert changes[0].size[0] == pytest.approx(0.04, abs=4 * changes[0].size_sigma[0])
+    assert changes[0].members[0].size[0] == pytest.approx(0.04, abs=4 * changes[0].members[0].sigma[0])
 
 
 def test_steps_at_two_dates_are_two_changes():

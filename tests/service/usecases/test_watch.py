@@ -27,9 +27,10 @@ from lbacal_twin.faults.hardware import GainStep
 from lbacal_twin.settings import TwinSettings
 from service.app import make_app
 from service.factory import Factory
+from service.handlers.drift import describe_change
 from service.scheduler import look_for_due_work
 from service.storage.alarms import AlarmsAsked
-from service.storage.changes import Change, Evidence
+from service.storage.changes import Change, Evidence, OwnSize
 from service.storage.jobs import Job, Order, Part
 from service.storage.models import ADOPTED, ModelChange
 from service.storage.sums import Sums
@@ -38,6 +39,7 @@ from service.usecases.drift import start_of_year
 from service.usecases.drift_measurement import find_references, write_events
 from service.usecases.due import DueWork
 from service.usecases.fits import Wanted
+from service.usecases.gate import tell_size
 from service.usecases.models import Adoption
 from service.usecases.watch import KIND as WATCH
 from service.usecases.watch import (
@@ -374,6 +376,33 @@ def test_a_change_found_in_one_dipole_is_of_both_once_it_is_found_in_both(watche
     assert seen == [(("X",), 1), (("X", "Y"), 2), (("X", "Y"), 2)]
 
 
+def test_the_dipoles_of_an_antenna_that_change_by_two_amounts_are_one_change_with_both(watched: Factory) -> None:
+    """The size of one was taken out of the other: of four antennas, the mean was 1.8 % off."""
+    one = step_of(0, -0.1, error_days=1, error=0.003)
+    tilt = {"tilt": {"value": 0.04, "sigma": 0.005}}
+    seen = []
+    for now, size in enumerate((-0.05, -0.051, -0.07, -0.1)):
+        y = {**one["members"][0], "dipole": "Y", "size": size, "shape": tilt}
+        with watched.database.write() as stores:
+            settle_changes(stores, {"changes": [{**one, "members": [*one["members"], y]}]}, measured(2), now)
+            (kept,) = stores.changes.kept()
+            seen.append([(own.dipole, own.size, own.tilt) for own in kept.change.own])
+            (cut,) = stores.changes.cuts("CS002")
+            power = [cut.step_of(letter)[0] for letter in "XY"]
+            assert power == pytest.approx([0.9**-2, (1 + (size if size != -0.051 else -0.05)) ** -2])
+    assert seen == [[("Y", -0.05, 0.04)], [("Y", -0.05, 0.04)], [("Y", -0.07, 0.04)], []]
+    with watched.database.read() as stores:
+        (kept,) = stores.changes.kept()
+    unlike = replace(kept, change=replace(kept.change, own=(OwnSize(2, "Y", -0.05, 0.003),)))
+    told = tell_size(unlike.change, np.array([30.0, 80.0]))
+    assert told == "-10.00 ± 0.30 %, Y of antenna 2 by -5.00 ± 0.30 %"
+    assert describe_change(unlike, watched)["own_sizes"] == [
+        {"antenna": 2, "dipole": "Y", "value": -0.05, "sigma": 0.003, "unit": "fraction of C"}
+    ]
+    dead = replace(unlike, change=replace(unlike.change, own=(OwnSize(2, "Y", 9.0, 0.003),)))
+    assert [(cut.power, cut.own) for cut in dead.cuts] == [(None, ())], "nothing is left to be scaled"
+
+
 @pytest.mark.parametrize("source", ["drift", "investigation", "person", "record"])
 def test_a_dipole_that_drift_had_taken_back_stayed_in_its_change(watched: Factory, source: str) -> None:
     """Events of one night showed a step in both dipoles, those of the next in one: the other was left out of means."""
@@ -504,6 +533,13 @@ def test_an_alarm_of_antennas_whose_labels_were_exchanged_gave_the_size_of_one_f
     (news,) = tell_news({"changes": [change], "slopes": [], "trends": {}}, np.array([30.0, 80.0]), cuts_windows=True)
     assert "CS002, 4 together: C changed by +53.25 ± 0.44 % in the mean over the band and by a tilt" in news.sentence
     assert "(antenna 0 X, antenna 0 Y), by -35.20 ± 0.44 % (antenna 4 X, antenna 4 Y), if its" in news.sentence
+
+
+def test_an_alarm_gives_the_size_of_each_dipole_of_an_antenna_that_differs() -> None:
+    told = step_of(0, 0.12, error_days=1, error=0.003)
+    told["members"] += [{**told["members"][0], "dipole": "Y", "size": 0.05}]
+    (news,) = tell_news({"changes": [told], "slopes": [], "trends": {}}, np.array([30.0, 80.0]), cuts_windows=False)
+    assert "by +12.00 ± 0.30 % (antenna 2 X), by +5.00 ± 0.30 % (antenna 2 Y), if" in news.sentence
 
 
 def test_an_alarm_of_a_step_along_frequency_says_where() -> None:

@@ -94,6 +94,21 @@ def test_of_two_ramps_of_one_path_the_last_is_taken_out_of_a_mean(dipoles: tuple
     assert taken_out(spectra) == pytest.approx(np.exp([[2.0 * last.size] * 3]))
 
 
+def test_each_dipole_of_an_antenna_is_taken_out_of_a_mean_by_what_it_changed() -> None:
+    cut = Cut("CS002", 1, 0, ("X", "Y"), 0.8, (0.1, 0.0), own=(("Y", 0.9, (0.0, 0.0)),))
+    wanted = Wanted("station", Scope("CS002"), -1, 2, Model(), "test", "test", (cut,))
+    assert replace(wanted, changed=(replace(cut, own=()),)).named != wanted.named
+    spectra: Any = SimpleNamespace(
+        station=np.array(["CS002"] * 2), antenna=np.array([1, 1]), dipole=np.array(["X", "Y"]),
+        time_unix=np.array([YEAR_S] * 2), power=np.array([[0.8] * 3, [0.9] * 3]),
+    )  # fmt: skip
+    simulation: Any = SimpleNamespace(instrument=SimpleNamespace(frequency_mhz=np.array([30.0, 55.0, 80.0])))
+    none: Any = None
+    taken_out = _take_out(FittedCauses(spectra, simulation, none, ()), wanted, Neighbours((), {}, {})).unchanged
+    assert taken_out is not None
+    assert taken_out(spectra) == pytest.approx(np.array([np.exp([0.1, 0.0, -0.1]), [1.0, 1.0, 1.0]]))
+
+
 def test_a_cut_that_agrees_with_a_date_on_record_of_its_antenna_is_that() -> None:
     year, recorded = (instant("2014-01-01"), instant("2015-01-01")), instant("2014-03-01")
     near, far = (Cut("CS002", 1, instant(day), sigma=2 * DAY_US) for day in ("2014-03-06", "2014-03-10"))
