@@ -186,12 +186,12 @@ def test_what_goes_on_changing_is_taken_out_of_the_means_that_it_is_in() -> None
     assert _in_force(replace(ramp, size=None)).follows == _in_force(replace(ramp, station=None)).follows == []
     times = START_2014 + 365.25 * 86_400.0 * np.array([-1.0, 0.0, 2.0])
     size = np.log(1.05) + 0.02 * modes[0]
-    assert of_path.log_power(times, modes) == pytest.approx(np.outer([0.0, 0.0, 2.0], -2.0 * size))
-    assert of_station.log_power(times, modes) == pytest.approx(np.outer([1.0, 1.0, 1.0], -2.0 * size))
+    assert of_path.log_power(times, modes, "X") == pytest.approx(np.outer([0.0, 0.0, 2.0], -2.0 * size))
+    assert of_station.log_power(times, modes, "X") == pytest.approx(np.outer([1.0, 1.0, 1.0], -2.0 * size))
     assert [one.begins_before(at - 1) for one in (of_path, of_station)] == [False, True], "a season has no beginning"
     step = Cut("CS002", 2, at, ("Y",), 0.9, (0.01, 0.0))
     expected = np.outer([0.0, 1.0, 1.0], np.log(0.9) + 0.01 * modes[0])
-    assert step.log_power(times, modes) == pytest.approx(expected)
+    assert step.log_power(times, modes, "X") == pytest.approx(expected)
 
 
 def _in_force(change: Change) -> KeptChange:
