@@ -70,7 +70,7 @@ class Moved(Fault):
     kind
         One of `SINGLE`.
     date
-        When it changes, s UTC.
+        When it changes, s UTC; a ramp does from the first event on.
     shape
         Legendre coefficients of ln of the power along frequency.
     metres
@@ -88,7 +88,7 @@ class Moved(Fault):
         along = legendre.legval((2.0 * frequency_mhz - low - high) / (high - low), self.shape)
         along = along - 0.1 * np.log(10.0) * self.metres * 0.0816 * np.sqrt(frequency_mhz / 30.0)
         course = {
-            "ramp": (time_unix - self.date) / YEAR_S,
+            "ramp": (time_unix - START_2014) / YEAR_S,  # of a station's C counts what its antennas were to begin with
             "season": np.cos(2 * np.pi * (time_unix - self.date) / YEAR_S),
             "dead": (time_unix >= self.date) & (time_unix < self.date + YEAR_S),
         }.get(self.kind, time_unix >= self.date)
