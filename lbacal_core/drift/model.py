@@ -155,9 +155,17 @@ def profile_steps(inverse: Floats, columns: Floats, fit: Fit) -> tuple[Floats, F
 
 
 def score_steps(score: Floats, information: Floats, whitener: Floats) -> Floats:
-    """Chi-square of a step before every month, shape (series, month); arguments of `profile_steps`."""
+    """Chi-square of a step before every month or amid its events, the larger of both, shape (series, month).
+
+    A season describes much of a step between months, and in a year nearly as much as a slope does: a step in August was
+    one in December. Arguments as `profile_steps` has them.
+    """
     own = np.maximum(np.diagonal(information, axis1=2, axis2=3), _NOTHING)
-    return chi_square(whitener, score / own, 1.0 / own)
+    last = [(0, 0), (0, 0), (0, 1)]  # a step behind all events is none
+    beside = np.pad(np.diagonal(information, 1, axis1=2, axis2=3), last)
+    amid = np.maximum((own + 2.0 * beside + np.pad(own[..., 1:], last)) / 4.0, _NOTHING)
+    half = (score + np.pad(score[..., 1:], last)) / 2.0
+    return np.maximum(chi_square(whitener, score / own, 1.0 / own), chi_square(whitener, half / amid, 1.0 / amid))
 
 
 def score_episodes(score: Floats, information: Floats, whitener: Floats) -> Floats:
@@ -500,7 +508,7 @@ class SeriesModel:
         self.median = np.zeros((int(series.group.max()) + 1, events, modes), dtype=np.float32)
         self.common, self.is_known = np.zeros_like(series.values), np.zeros((count, events), dtype=bool)
         self.is_new = np.ones(len(self.median), dtype=bool)
-        self.cut = find_threshold(false_alarms, count * len(self.months), modes)
+        self.cut = find_threshold(false_alarms, 2 * count * len(self.months), modes)
         self.lasting: tuple[Lasting, ...] = ()
         self.rounds, self.is_white = 0, False
         self.all = np.arange(count)
@@ -735,7 +743,15 @@ class SeriesModel:
         self.terms = replace(self.terms, dates=new)
 
     def find_cost(self, rows: NDArray[np.int64]) -> Floats:
-        """Chi-square of series, shape (series,), and the threshold for every term that they have."""
+        """Chi-square of series, shape (series,), and the threshold for every term that they have.
+
+        That of their months, and of events about the means of these: a step within a month is seen there alone.
+        """
         chi2 = np.sum(self.y[:, rows] * self.result.weighted_residual[:, rows], axis=(0, 2))
+        for some, at in zip(share_out(rows), share_out(np.arange(rows.size)), strict=True):
+            left = (self.series.values[some] - self.common[some] - self.predict(some)) / self.scale.T[some][:, None]
+            left = np.nan_to_num(left, nan=0.0)
+            mean = np.add.reduceat(left, self.starts, axis=1) / np.maximum(self.events[some], 1.0)[..., None]
+            chi2[at] += np.sum(left**2, axis=(1, 2)) - np.sum(self.events[some][..., None] * mean**2, axis=(1, 2))
         count = np.isfinite(self.terms.dates[rows]).sum(axis=1) + self.terms.has_slope[rows]
         return np.asarray(chi2 + self.cut * count)

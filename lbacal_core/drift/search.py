@@ -14,7 +14,7 @@ once more with what stands out in white noise. That counts if it explains more, 
 with the medians as they settled before and after.
 
 A score is the sum of squares of the scores of the modes, made uncorrelated: chi-square with one degree a mode. The
-threshold is that of the number of series times months, so that `FALSE_ALARMS` are expected in all of them together.
+threshold is that of the number of series times half months, so that `FALSE_ALARMS` are expected in all of them at most.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from scipy.special import logsumexp
 
 from lbacal_core.drift.model import (
     LEAKAGE,
+    MONTH_S,
     MOST_STEPS,
     OFFSET,
     SLOPE,
@@ -64,6 +65,11 @@ def over_dates(steps: Floats) -> Floats:
         Chi-square of a step before every month, 0 where none is possible, shape (series, month).
     """
     return np.asarray(2.0 * (logsumexp(steps / 2.0, axis=1) - np.log(steps.shape[1])))
+
+
+def within_month(sigma_s: Floats) -> Floats:
+    """Twice the log likelihood ratio of the date of a step, with its error, and of all dates of its month, s."""
+    return np.asarray(2.0 * np.log(np.maximum(MONTH_S / (np.sqrt(2.0 * np.pi) * np.maximum(sigma_s, 1.0)), 1.0)))
 
 
 def free_noise(chi2: Floats, values: NDArray[np.int64]) -> Floats:
@@ -273,10 +279,15 @@ class _Search(SeriesModel):
         gets_slope = (step >= 0) & (slopes > over_dates(steps))
         self.terms.has_slope[rows[gets_slope]] = True
         gets_step = ~gets_slope & np.any(steps > 0.0, axis=1)
+        taken = np.isfinite(self.terms.dates[rows])
         self.put_steps(rows[gets_step], np.argmax(steps, axis=1)[gets_step])
         self.fit_terms(rows)
-        of_date = steps.max(axis=1) - over_dates(steps) if step < 0 else 0.0  # within a month it explains more
-        is_better = self.find_cost(rows) + of_date < cost - BETTER
+        # a slope has no date to choose; of a step count the others that explain as much, by months and within one
+        of_month = steps.max(axis=1) - over_dates(steps)
+        was = of_month + within_month(errors[0, rows, step]) if step >= 0 else 0.0
+        sigma = np.where(np.isfinite(self.terms.dates[rows]) & ~taken, self.errors[0, rows], np.inf).min(axis=1)
+        of_date = np.where(gets_step, of_month + within_month(sigma), 0.0)
+        is_better = self.find_cost(rows) + of_date < cost + was - BETTER
         self.restore(before, errors, rows[~is_better])
         self.fit_terms(rows)
         return np.asarray(is_better)

@@ -271,6 +271,36 @@ def test_a_step_of_twelve_per_cent_in_a_year_is_no_slope():
     assert found >= 5
 
 
+def test_a_step_amid_a_month_of_a_year_is_no_slope_and_has_its_date():
+    """Of half of the antennas one was dated in January, others were ramps: between months a season explains a step."""
+    steps = {1: (0.068, 140), 2: (0.095, 176), 3: (0.113, 231), 6: (0.18, 282), 10: (0.095, 176), 11: (0.049, 231)}
+    found, slopes = list[tuple[int, float]](), 0
+    for seed in range(4):
+        rng = np.random.default_rng([8, seed])
+        time_unix = np.sort(rng.uniform(0.0, YEAR_S, 260))
+        values = np.array([0.0125, 0.006, 0.006]) * rng.standard_normal((16, 260, 3))
+        for path, (size, day) in steps.items():
+            values[path, time_unix >= day * DAY, 0] += size
+        told = search_series(Series(values.astype(np.float32), np.arange(16) // 8, time_unix))
+        found += [(path, day) for path in range(16) for day in (_dates(told, path) / DAY).tolist()]
+        slopes += int(told.terms.has_slope.sum())
+    assert all(path in steps and abs(day - steps[path][1]) < 6.0 for path, day in found)
+    assert (len(found) >= 23, slopes) == (True, 0)
+
+
+def test_a_slope_of_a_year_is_seldom_a_step_though_events_offer_one_more_dates():
+    """A step had every event of a month to begin with, and paid for the choice of the month alone."""
+    steps = 0
+    for seed in range(12):
+        rng = np.random.default_rng([9, seed])
+        time_unix = np.sort(rng.uniform(0.0, YEAR_S, 260))
+        values = np.array([0.0125, 0.006, 0.006]) * rng.standard_normal((16, 260, 3))
+        values[5, :, 0] += 0.05 * time_unix / YEAR_S
+        told = search_series(Series(values.astype(np.float32), np.arange(16) // 8, time_unix))
+        steps += _dates(told, 5).size
+    assert steps <= 2
+
+
 def _step_in_three_of_four(rng: np.random.Generator) -> tuple[Series, np.ndarray]:
     series = _draw(rng, series=4, years=3.0)
     dates = YEAR_S * rng.uniform(0.5, 2.5, 3)
