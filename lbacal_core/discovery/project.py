@@ -306,6 +306,19 @@ class LinearModel:
         weight = np.ones((1, channel.shape[1]))
         return View(channel, inside, levels.vectors, slope, free, prior, waves, weight, residuals.mean[None])
 
+    @cached_property
+    def open_noise(self) -> Floats:
+        """Covariance of the noise constants of the mean path where the sky is open, mean of the polarisations, (k, k).
+
+        Of a path's own fit, whose sky is given, it is no part: a sky with more brightness everywhere is noise to that.
+        """
+        slope, constants = self._mean_free_vectors
+        count = len(constants)
+        if self.modes is None:
+            return np.zeros((count, count))
+        own = (self.common.covariance_of(slice(d * count, (d + 1) * count))[0] for d in range(len(slope)))
+        return np.asarray(np.mean(list(own), axis=0))
+
     def _modes_in_mean(self, modes: SkyModes) -> Floats:
         """What the differences between models do to the means, one prior sigma each."""
         common, own = (self._seen_in_mean(part) for part in (modes.common, modes.own))

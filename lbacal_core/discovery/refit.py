@@ -270,8 +270,8 @@ def _has_run_away(station: Station, baseline: Baseline, hypotheses: Sequence[Hyp
     """
     terms = act_together(station, baseline.terms, hypotheses)
     share = (terms.sky * terms.front / terms.power()).mean(axis=(1, 2))
-    is_near = float(np.std(mean_of_paths(station, baseline.residual))) < LARGEST_CHANGE
-    return not (is_near and bool(np.all(share > 0)))
+    is_last = float(np.std(mean_of_paths(station, baseline.residual))) < LARGEST_CHANGE
+    return not (is_last and bool(np.all(share > 0)))
 
 
 def can_be_told_apart(information: Floats) -> bool:
@@ -337,9 +337,9 @@ as the weak prior of the fit is."""
 DRAWS, SEED = 64, 0
 DRAWS_AT_ONCE = 8
 """Draws whose templates are weighed together: eight share what a call costs, and more take more memory for nothing."""
-ENOUGH, NARROWER, MOST_ROUNDS = 12.0, 0.3, 5
-"""Draws that must count: with fewer, an effect that itself says how noise is shared is looked at more closely, so much
-at a time."""
+SCOUTS, ENOUGH, NARROWER, MOST_ROUNDS = 16, 3.0, 0.3, 5
+"""Draws of which so many must count: with fewer, an effect that itself says how noise is shared is looked at more
+closely, so much at a time."""
 
 
 @dataclass(frozen=True)
@@ -411,21 +411,25 @@ def average_size(model: FittedModel, number: int) -> AveragedSize | None:
     from scipy.stats import qmc  # half a second to import
 
     normal = ndtri(qmc.Sobol(len(noise.covariance), seed=SEED).random(DRAWS))
-    centre, scale = np.zeros(normal.shape[1]), 1.0
-    for _ in range(MOST_ROUNDS):
-        u = centre + scale * normal
+    centre, scale, is_last = np.zeros(normal.shape[1]), 1.0, False
+    for k in range(MOST_ROUNDS + 1):
+        is_last |= k == MOST_ROUNDS
+        own = normal if is_last else normal[:SCOUTS]
+        u = centre + scale * own
         drawn = noise.draw(u)
         size, gain = _fit_sizes(model, one, drawn)
         if not np.any(np.isfinite(gain)):
             return None
         # by likelihood and prior over the density of the draws
-        gain += 0.5 * (np.sum(normal**2, axis=1) - np.sum(u**2, axis=1)) + normal.shape[1] * np.log(scale)
+        gain += 0.5 * (np.sum(own**2, axis=1) - np.sum(u**2, axis=1)) + own.shape[1] * np.log(scale)
         weight = np.exp(gain - gain.max())
         evidence = float(gain.max() + np.log(weight.mean()))
         weight /= weight.sum()
-        if 1.0 / np.sum(weight**2) >= ENOUGH:
+        if is_last:
             break
-        centre, scale = weight @ u, scale * NARROWER
+        is_last = bool(1.0 / np.sum(weight**2) >= ENOUGH)
+        if not is_last:
+            centre, scale = weight @ u, scale * NARROWER
     mean, relative = float(weight @ size), one.uncertainty / one.size
     sigma = float(np.sqrt(weight @ ((relative * size) ** 2 + (size - mean) ** 2)))
     front, behind = (weight @ np.stack(part) for part in zip(*drawn, strict=True))
@@ -453,6 +457,7 @@ def refit_over_noise(before: FittedModel, new: Hypothesis) -> tuple[FittedModel,
 def open_noise(model: FittedModel, one: Hypothesis) -> OpenNoise | None:
     """The noise constants of the paths of a hypothesis; None where all are known to 5 % of the power."""
     constants, covariance = model.baseline.noise_of(one.target.is_member)
+    covariance = covariance + model.linear.open_noise
     sigma, terms, intercepts = np.sqrt(np.diag(covariance)), model.baseline.terms, model.station.conditions.intercepts
     count, power = len(intercepts.front), terms.power()
     forms = [*(form * terms.front for form in intercepts.front), *intercepts.behind]

@@ -478,6 +478,12 @@ class View(FreeVectors):
         """Number of independent free vectors of the first member."""
         return int(np.linalg.matrix_rank(self._inverse[0], hermitian=True))
 
+    def covariance_of(self, constants: slice) -> Floats:
+        """Covariance of some of the constants, all else that is free fitted as well, shape (member, k, k)."""
+        first = self.slope.shape[0] * self.slope.shape[2]
+        at = slice(first + constants.start, first + constants.stop)
+        return self._inverse[:, at, at]
+
     @cached_property
     def _inverse(self) -> Floats:
         """(N'WN + L)^-1 of each member on the space that the vectors span, shape (member, vector, vector)."""
