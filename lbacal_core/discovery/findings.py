@@ -126,7 +126,10 @@ class StationSearch:
         self.adopted = 0
 
     def propose(self, before: FittedModel) -> list[Candidate]:
-        """The model with each of the best significant causes, fitted without linearising."""
+        """The model with each of the best significant causes, fitted without linearising; none beside a full path."""
+        on_paths = [one.target.is_member for one in before.hypotheses[self.adopted :]]
+        if np.any(np.sum(on_paths, axis=0) >= self.policy.most_findings):
+            return []
         self.progress(f"{self.name}: scoring {len(self.catalogue)} causes for {len(self.targets)} targets")
         if self.hidden is None:
             self.hidden = list_hidden(before.linear, self.catalogue, self.targets[-1], self.policy.hidden_share)
@@ -455,7 +458,7 @@ def grow_findings(first: FittedModel, search: StationSearch) -> Grown:
 
     The first cause of a large effect may be another one that resembles it, before the right one is found beside it.
     """
-    steps = grow(first, search, search.policy.most_findings)
+    steps = grow(first, search, search.policy.most_of_station)
     return weigh([first, *(step.candidate.model for step in steps)], [step.candidate for step in steps], search)
 
 

@@ -555,7 +555,7 @@ def split_residuals(station: Station, residual: Floats, seeds: Floats) -> Residu
     """
     is_present = station.is_present
     polarisations, polarisation_of = np.unique(station.dipole, return_inverse=True)
-    in_mean = _is_complete(is_present, polarisation_of)
+    in_mean = _is_complete(station, polarisation_of)
     mean, deviation = split_values(station, residual, in_mean)
     seeds = np.broadcast_to(seeds, (len(station.conditions.dipoles), *seeds.shape[-2:]))
     alike = Membership(polarisation_of, in_mean, np.ones(len(is_present)), np.ones(mean.shape[:2]), seeds)
@@ -575,7 +575,7 @@ def split_residuals(station: Station, residual: Floats, seeds: Floats) -> Residu
 def mean_of_paths(station: Station, values: Floats) -> Floats:
     """The mean of each polarisation over the paths that take part in it, shape (polarisation, event, freq)."""
     polarisation_of = np.unique(station.dipole, return_inverse=True)[1]
-    return split_values(station, values, _is_complete(station.is_present, polarisation_of))[0]
+    return split_values(station, values, _is_complete(station, polarisation_of))[0]
 
 
 def split_values(station: Station, values: Floats, in_mean: NDArray[np.bool_]) -> tuple[Floats, Floats]:
@@ -623,8 +623,12 @@ def estimate_again(station: Station, residuals: Residuals, mean: Floats, sky: Fl
     return replace(residuals, deviation=whole - taken, taken=taken, levels=levels)
 
 
-def _is_complete(is_present: NDArray[np.bool_], polarisation_of: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which paths have most events of their polarisation, in the whole and in every part of the time, shape (path,)."""
+def _is_complete(station: Station, polarisation_of: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which paths have most events of their polarisation, in the whole and in every part of the time, shape (path,).
+
+    Those that stand apart have none.
+    """
+    is_present = station.is_present & ~np.isin(station.antenna, list(station.apart))[:, None]
     events = is_present.shape[1]
     parts = max(1, min(PARTS, events // FEWEST_IN_PART))
     begins = np.arange(parts) * events // parts

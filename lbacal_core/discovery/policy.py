@@ -21,8 +21,9 @@ class Policy:
         Probability of a false alarm of the scan, of the comparisons of antennas and of cable names, and of the test for
         residual structure; together the false-alarm rate of a station, 1 in 300, a third of the required 1 in 100. A
         name is given by chance in 1.2 of 1000 stations, where 5 are allowed: all that is not noise has the rest.
-    most_findings
-        Findings of a station after which the search ends: no proof hides more effects.
+    most_findings, most_of_station
+        Findings on one path, and of a station, after which the search ends: a course without a name would become many
+        steps. What is unsaid of one antenna is in the mean to which all are held, and biases the sizes of others.
     rivals
         Candidates that are fitted without linearising before one is named: in ``./dev prove discovery`` the right
         cause was always among the first four.
@@ -51,6 +52,7 @@ class Policy:
     antenna_alpha: float = 0.0002
     structure_alpha: float = 0.002
     most_findings: int = 5
+    most_of_station: int = 16
     rivals: int = 4
     rival_share: float = 0.6
     indistinguishable: float = 9.0

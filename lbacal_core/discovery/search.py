@@ -167,7 +167,14 @@ def search_station(
             others, modes=modes, stations=stations, seed=seed, policy=policy, progress=progress, model=model,
             catalogue=catalogue,
         )  # fmt: skip
-        grown, findings, similar = _join(first, grown, findings, similar, rest, search)
+        findings, similar = _join(findings, similar, rest, search)
+    if others is not None and findings:
+        # the mean to which all antennas are held would step with the one that nothing describes
+        unlike = set(station.antenna.tolist()) - set(others.antenna.tolist())
+        station = replace(station, apart=frozenset(unlike if rest is None else unlike | rest.station.apart))
+        first = fit_adopted(station, model, modes).model
+        grown = grow_by(first, findings, search)
+        findings = grown.findings
     hidden = [one.cause for one in search.hidden or []]
     standing = _standing(first, grown, findings)
     changing = list[Target]()
@@ -342,21 +349,17 @@ def _leave_out(station: Station, structure: ResidualStructure) -> Station | None
 
 
 def _join(
-    first: FittedModel, grown: Grown, findings: list[Finding], similar: list[Finding], rest: StationReport,
-    search: StationSearch,
-) -> tuple[Grown, list[Finding], list[Finding]]:  # fmt: skip
-    """The model, its findings and those withdrawn, with what the antennas show without the one of the structure."""
+    findings: list[Finding], similar: list[Finding], rest: StationReport, search: StationSearch
+) -> tuple[list[Finding], list[Finding]]:
+    """The findings and those withdrawn, with what the antennas show without the one of the structure."""
     whole = {target.label: target for target in search.targets}
     known, shown = {_name(one) for one in findings}, list[Finding]()
     for one in rest.findings:
         if _name(one) not in known:
             target = whole[one.hypothesis.target.label]
             shown.append(replace(one, hypothesis=replace(one.hypothesis, target=target)))
-    if not shown:
-        return grown, findings, similar
     names = {_name(one) for one in shown}
-    grown = grow_by(first, [*findings, *shown], search)
-    return grown, grown.findings, [one for one in similar if _name(one) not in names]
+    return [*findings, *shown], [one for one in similar if _name(one) not in names]
 
 
 def _name(finding: Finding) -> tuple[str, str]:

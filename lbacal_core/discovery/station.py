@@ -54,6 +54,8 @@ class Station:
         Variance of the radiometer noise over that of the typical spectrum, shape (path, event); infinite where absent.
     sky
         P_sky of each class, shape (class, event, freq).
+    apart
+        Numbers of antennas that are no measure of others, as what they do has no name: the means are without them.
     """
 
     name: str
@@ -66,6 +68,7 @@ class Station:
     event_id: NDArray[np.str_]
     sky: Floats
     conditions: Conditions
+    apart: frozenset[int] = frozenset()
 
     @property
     def is_present(self) -> NDArray[np.bool_]:

@@ -57,6 +57,16 @@ def test_a_dead_antenna_leaves_the_mean_but_is_still_compared_with_it(station, n
     assert np.all(residuals.deviation[dead][:, :100] != 0.0)
 
 
+def test_an_antenna_apart_is_no_measure_of_others(station, noise):
+    apart = station.antenna == station.antenna[0]
+    odd = noise + apart[:, None, None] * np.where(np.arange(300) % 40 < 20, 0.2, -0.2)[:, None]
+    aside = replace(station, apart=frozenset({int(station.antenna[0])}))
+    residuals, quiet = split_residuals(aside, odd, FLAT), split_residuals(aside, noise, FLAT)
+    assert np.array_equal(residuals.in_mean, ~apart)
+    np.testing.assert_array_equal(residuals.mean, quiet.mean)
+    assert np.all(residuals.deviation[apart] != 0.0)
+
+
 def test_an_antenna_that_dies_in_the_last_days_leaves_the_mean_and_one_with_gaps_does_not(station, noise):
     late, gappy = station.antenna == station.antenna[0], station.antenna == station.antenna[-1]
     gaps = np.random.default_rng(5).choice(300, 45, replace=False)

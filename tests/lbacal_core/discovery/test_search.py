@@ -11,7 +11,7 @@ from lbacal_core.causes.grammar import parts_of
 from lbacal_core.causes.model import AdoptedCause, Model
 from lbacal_core.discovery import search
 from lbacal_core.discovery.describe import Description
-from lbacal_core.discovery.findings import Grown, _idle
+from lbacal_core.discovery.findings import Grown, StationSearch, _idle
 from lbacal_core.discovery.growth import grow
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
 from lbacal_core.discovery.policy import Policy
@@ -216,6 +216,41 @@ def test_a_name_in_an_antenna_stays_beside_a_sentence_of_the_station(chain, sky,
 def finding_of(look, target):
     found = look.fit_as_is("gain_temperature", look.template("gain_temperature"), target)
     return SimpleNamespace(hypothesis=found.effect, score=SimpleNamespace(trials=20.0, causes=26))
+
+
+def test_a_size_is_right_beside_an_antenna_in_which_structure_is_left(chain, sky, simulation):
+    """What that antenna does was in the mean to which all antennas are held."""
+    settings, planted = replace(SETTINGS, antennas=5, events_per_year=120), [(0, -0.1, "2014-07-20")]
+    planted += [(3, 0.4, "2014-04-01"), (3, 0.35, "2014-09-01")]  # one more than is looked for
+    faults = [GainStep(size=size, where=Where(antennas=(a,)), date=date) for a, size, date in planted]
+    spectra = simulate_campaign(settings, chain, sky, np.random.default_rng(SEED), faults).spectra
+    gain_step = [cause for cause in CAUSES if cause.identifier == "gain_step"]
+    policy, (station,) = Policy(most_findings=1), gather_stations(spectra, simulation)
+    report = search_station(station, policy=policy, catalogue=gain_step)
+    assert report.structure.target.startswith("antenna 3")
+    (found,) = report.findings
+    assert found.hypothesis.target.label == "antenna 0"
+    assert found.size[0] == pytest.approx(-0.1, abs=3 * found.size[1])
+    assert report.last.hypotheses == [found.hypothesis]
+    assert report.last.station.apart == {3}
+
+
+@pytest.mark.parametrize(("findings", "ends"), [([1] * 5, True), ([1, 1, 2, 2, 3, 3, 4], False), ([1] * 4 + [9], True)])
+def test_a_search_ends_with_five_findings_on_one_path(look, findings, ends):
+    """Six steps in four antennas: the sixth was unsaid, and in the mean it made all sizes 5 to 12 % too small."""
+
+    def told(_):
+        raise InterruptedError
+
+    antennas = look.data.antenna
+    on = [Target("antenna", "", antennas == k if k < 9 else antennas >= 0) for k in findings]
+    model = SimpleNamespace(hypotheses=[Hypothesis(None, Template(), target, 1.0) for target in on])
+    search = StationSearch(look.data, [], Policy(), 1, 0, told)
+    if ends:
+        assert search.propose(model) == []
+    else:
+        with pytest.raises(InterruptedError):
+            search.propose(model)
 
 
 @pytest.mark.parametrize(("size", "stands"), [(0.006, False), (0.02, True)])
