@@ -353,11 +353,16 @@ def _join(
 ) -> tuple[list[Finding], list[Finding]]:
     """The findings and those withdrawn, with what the antennas show without the one of the structure."""
     whole = {target.label: target for target in search.targets}
-    known, shown = {_name(one) for one in findings}, list[Finding]()
-    for one in rest.findings:
-        if _name(one) not in known:
-            target = whole[one.hypothesis.target.label]
-            shown.append(replace(one, hypothesis=replace(one.hypothesis, target=target)))
+
+    def widen(one: Hypothesis) -> Hypothesis:
+        return replace(one, target=whole[one.target.label])
+
+    known = {_name(one) for one in findings}
+    shown = [
+        replace(one, hypothesis=widen(one.hypothesis), sentences=[widen(other) for other in one.sentences])
+        for one in rest.findings
+        if _name(one) not in known
+    ]
     names = {_name(one) for one in shown}
     return [*findings, *shown], [one for one in similar if _name(one) not in names]
 

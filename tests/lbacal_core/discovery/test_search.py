@@ -11,7 +11,7 @@ from lbacal_core.causes.grammar import parts_of
 from lbacal_core.causes.model import AdoptedCause, Model
 from lbacal_core.discovery import search
 from lbacal_core.discovery.describe import Description
-from lbacal_core.discovery.findings import Grown, StationSearch, _idle
+from lbacal_core.discovery.findings import Finding, Grown, StationSearch, _idle
 from lbacal_core.discovery.growth import grow
 from lbacal_core.discovery.hypothesis import Hypothesis, Target
 from lbacal_core.discovery.policy import Policy
@@ -233,6 +233,15 @@ def test_a_size_is_right_beside_an_antenna_in_which_structure_is_left(chain, sky
     assert found.size[0] == pytest.approx(-0.1, abs=3 * found.size[1])
     assert report.last.hypotheses == [found.hypothesis]
     assert report.last.station.apart == {3}
+
+
+def test_what_other_antennas_show_is_of_all_paths_of_the_station_with_its_sentences():
+    """A step with a sentence nearly as likely, found without one antenna, could not be fitted with all."""
+    few, every = (Target("antenna", "antenna 1", np.arange(paths) == 1) for paths in (2, 3))
+    one = Hypothesis(CAUSES[0], Template(), few, 1.0)
+    found = Finding(one, None, [], 2.0, 1.0, 1, 1.0, np.zeros(1), sentences=[one])
+    ((joined,), _) = search._join([], [], SimpleNamespace(findings=[found]), SimpleNamespace(targets=[every]))
+    assert (joined.hypothesis.target, joined.sentences[0].target) == (every, every)
 
 
 @pytest.mark.parametrize(("findings", "ends"), [([1] * 5, True), ([1, 1, 2, 2, 3, 3, 4], False), ([1] * 4 + [9], True)])
