@@ -57,6 +57,10 @@ class AntennaCause(Description):
         """Departures about one that was found."""
         return [template]
 
+    def free_forms(self, template: AntennaTemplate, frequency_mhz: Floats) -> list[Floats]:  # noqa: ARG002
+        """Forms of the cause about a template, each the departures whose amounts are free, shape (departure, freq)."""
+        return [template.departure[None]]
+
     def note(self, parameters: Mapping[str, float], size: float) -> str:  # noqa: ARG002
         """A remark on the meaning of the size."""
         return ""
@@ -105,9 +109,18 @@ class CableReflection(AntennaCause):
     def finer_templates(self, template: AntennaTemplate, frequency_mhz: Floats) -> list[AntennaTemplate]:
         """Delays between those that were tried, and phases all around."""
         delays = template.parameters["delay_us"] + _step_us(frequency_mhz) * np.arange(-0.8, 1.0, 0.2)
+        delays = delays[delays >= 2 * FEWEST_PERIODS * _step_us(frequency_mhz) - 1e-6]
         phases = np.arange(0.0, 360.0, 15.0)
         ripples = [_ripple(delay, phase, frequency_mhz) for delay in delays.tolist() for phase in phases.tolist()]
         return [one for one in ripples if _is_seen(one)]
+
+    def free_forms(self, template: AntennaTemplate, frequency_mhz: Floats) -> list[Floats]:
+        """Ripples of any amplitude and phase, of delays closer than those of `finer_templates`."""
+        delays = template.parameters["delay_us"] + _step_us(frequency_mhz) * np.linspace(-0.2, 0.2, 9)
+        return [
+            np.stack([_ripple(delay, phase, frequency_mhz).departure for phase in (0.0, 90.0)])
+            for delay in delays.tolist()
+        ]
 
     def note(self, parameters: Mapping[str, float], size: float) -> str:
         """What else would look the same in even channels."""

@@ -9,6 +9,8 @@ Antennas differ smoothly along frequency, each in its own way and by many times 
 periods does not keep such a departure apart from a ripple: what leaked into ripples of 0.1 us was named as a reflection
 in 3 of 220 worlds. A ripple is what remains beside departures as smooth as those that most antennas show. A wrong
 length is smooth itself: beside it they are as large as in a typical antenna, not free.
+
+A name must hold against a smooth law without a name: another slope of one gain was a ripple of one period, or a length.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 from scipy.special import stdtr
 
@@ -44,6 +47,28 @@ NORMAL_MEDIAN = 0.6745
 """Median of the absolute value of a standard normal number."""
 SMALLEST_SHARE = 0.02
 """Share of its information below which a ripple is not told from smooth departures."""
+
+
+@dataclass(frozen=True)
+class SmoothDeparture:
+    """Polynomial in frequency by which one antenna departs from the others.
+
+    Attributes
+    ----------
+    degree
+        Degree of the polynomial: 1 is a slope.
+    departure
+        ln (A L_coax) less that of the others by the law, shape (freq,), without its mean.
+    chi2
+        Chi^2 of what it leaves, by the errors of the fit.
+    description_length
+        Chi^2 and what its free numbers cost, each ln of the number of channels (Schwarz 1978, Ann. Stat. 6, 461).
+    """
+
+    degree: int
+    departure: Floats
+    chi2: float
+    description_length: float
 
 
 @dataclass(frozen=True)
@@ -164,9 +189,26 @@ class Comparison:
 
     def chi_squared(self, template: AntennaTemplate, size: float) -> tuple[float, float]:
         """Chi^2 of the mean of the dipoles against the others, without and with a template at a size."""
-        before = float(np.sum(self.view.residual[0] * self.view.weighted_residual[0]))
+        before = self.chi2_without
         length, amplitude = float(self._lengths(self.see([template]))[0]), float(self.amplitudes([template])[0, 0])
         return before, before - 2 * size * amplitude * length + (size * length) ** 2
+
+    @property
+    def chi2_without(self) -> float:
+        """Chi^2 of the mean of the dipoles against the others."""
+        return float(np.sum(self.view.residual[0] * self.view.weighted_residual[0]))
+
+    def fit_smoothly(self, frequency_mhz: Floats) -> SmoothDeparture:
+        """The likeliest polynomial in frequency, of degree 1 at least."""
+        channels = frequency_mhz.size
+        place = 2.0 * (frequency_mhz - frequency_mhz[0]) / max(float(np.ptp(frequency_mhz)), 1e-300) - 1.0
+        laws = []
+        for degree in range(1, max(1, min(MOST_SMOOTH, channels // CHANNELS_PER_SMOOTH)) + 1):
+            every = legvander(place, degree)[:, 1:].T
+            departure, chi2 = self.fit(every)[0] @ every, self.beside(every).chi2_without
+            cost = degree * float(np.log(channels))
+            laws.append(SmoothDeparture(degree, departure - departure.mean(), chi2, chi2 + cost))
+        return min(laws, key=lambda law: law.description_length)
 
 
 def compare(number: int, log_slope: Floats, covariance: Floats, cable: NDArray[np.str_]) -> Comparison | None:
@@ -254,6 +296,8 @@ class AntennaScore:
         together), shape (freq,).
     similar
         Other causes of the antenna comparison that fit as well, with their correlation.
+    law
+        The smooth law that is likelier by far, so that the cause is no name of what the antenna shows; or None.
     """
 
     cause: AntennaCause
@@ -270,6 +314,7 @@ class AntennaScore:
     observed: Floats
     error: Floats
     similar: list[tuple[str, float]]
+    law: SmoothDeparture | None = None
 
     @property
     def p_value(self) -> float:
@@ -331,8 +376,11 @@ def compare_antennas(
         z, scatter = _against_others(amplitude, opposed, is_compared, correlation, _neighbours(tried))
         k, n = np.unravel_index(int(np.argmax(np.abs(z))), z.shape)
         own = beside[int(k)]
-        template, size, length = own.refine(cause.finer_templates(tried[int(n)], frequency))
+        template, size, strength = _refine(cause, own, tried[int(n)], frequency)
         chi2_before, chi2_after = own.chi_squared(template, size)
+        law, forms = own.fit_smoothly(frequency), cause.free_forms(template, frequency)
+        free = len(forms[0]) + (len(forms) > 1)
+        length = min(own.beside(form).chi2_without for form in forms) + free * float(np.log(frequency.size))
         similar = []
         for other, others in templates.items():
             r = float(np.abs(compared[int(k)].correlate([tried[int(n)]], others)).max())
@@ -345,7 +393,7 @@ def compare_antennas(
                 target=antennas[int(k)],
                 z=float(np.copysign(z[k, n], size)),
                 size=size,
-                sigma=float(scatter[k, n]) / length,
+                sigma=float(scatter[k, n]) / strength,
                 trials=int(is_compared.sum()) * trials_factor(correlation, seed, abs(float(z[k, n]))),
                 chi2_before=chi2_before,
                 chi2_after=chi2_after,
@@ -354,9 +402,30 @@ def compare_antennas(
                 observed=own.less_smooth(size * template.departure),
                 error=np.diag(invert_symmetric(own.root @ own.root.T)) ** -0.5,
                 similar=similar,
+                law=law if law.description_length + 2.0 * policy.likelier < length else None,
             )
         )
     return sorted(scores, key=lambda score: score.p_value)
+
+
+MOST_MOVES = 8
+"""Times that templates are tried about the best of those before."""
+
+
+def _refine(
+    cause: AntennaCause, own: Comparison, template: AntennaTemplate, frequency_mhz: Floats
+) -> tuple[AntennaTemplate, float, float]:
+    """The best template, its size and its length, found from one that was tried.
+
+    The scatter of the others may prefer a delay further from the best one than the closer delays reach.
+    """
+    best = own.refine([template])
+    for _ in range(MOST_MOVES):
+        best = own.refine(cause.finer_templates(template, frequency_mhz))
+        last, template = template, best[0]
+        if np.allclose(list(template.parameters.values()), list(last.parameters.values())):
+            break
+    return best
 
 
 def count_comparisons(station: Station) -> int:

@@ -45,6 +45,7 @@ VERDICTS = CONSISTENT, EXPLAINED, UNEXPLAINED = "consistent", "explained", "unex
 BY_RATIO = "acts by ratio: P_sky times own(with)/own(without), from the package's own sky and antenna model"
 OPEN_NOISE = "the data hardly tell the noise in front of the receiver from that behind it, on which the size depends"
 PUT_RIGHT = "of the record: put it right, no model can adopt it; all else in this report is of the record put right"
+IN_A = "It is in A(nu), and C is right without it."
 GROWS = 0.8
 """Correlation of the amounts of antennas with their numbers from which it is said."""
 NOISY = 1.1
@@ -79,7 +80,7 @@ def describe_station(report: StationReport) -> StationContent:
         "station": report.station.name,
         "verdict": _verdict(report),
         "findings": [],  # their numbers, once those of all stations are in one order
-        "unexplained": None if report.structure is None else _unexplained(report.structure, report),
+        "unexplained": _left(report),
         "unidentifiable": [{"cause": cause, "why": why} for cause, why in sorted(report.unidentifiable.items())],
         "deaf": report.deaf,
         "paths": len(report.station.antenna),
@@ -121,7 +122,7 @@ def join(described: Sequence[StationContent], provenance: Provenance) -> dict[st
 
 
 def _verdict(report: StationReport) -> str:
-    if report.structure is not None:
+    if report.structure is not None or report.departure is not None:
         return UNEXPLAINED
     return EXPLAINED if report.findings or report.antennas or report.record else CONSISTENT
 
@@ -406,6 +407,36 @@ def _unexplained(structure: ResidualStructure, report: StationReport) -> dict[st
         "similar_to": [_finding(finding, report) for finding in report.similar],
         **({} if rest is None or rest.structure is None else {"in_others": _unexplained(rest.structure, rest)}),
     }
+
+
+def _left(report: StationReport) -> dict[str, Any] | None:
+    """What no cause explains: structure, and an antenna whose gain departs from the others along frequency."""
+    structure = None if report.structure is None else _unexplained(report.structure, report)
+    score = report.departure
+    if score is None or score.law is None:
+        return structure
+    law, station = score.law, report.station
+    whom, rise = score.target.label, f"{law.departure[-1] - law.departure[0]:+.2g} from end to end of the band"
+    words = f"the gain has another {'slope' if law.degree == 1 else 'course'} along frequency than in the others"
+    departure = {
+        "p_value": score.p_value,
+        "where": _where(report, score.target, {}) | {"axis": "frequency", "target": whom},
+        "description": f"{whom} of {station.name} departs at all times from the others of its cable along frequency, "
+        "by a smooth law that no cause of the catalogue explains",
+        "gain": {
+            "chi2": score.chi2_before - law.chi2, "terms": law.degree, "held_out_log_likelihood_gain": None,
+        },
+        "paths": None,
+        "term": None,
+        "sentences": [],
+        "in_words": f"In station {station.name}, {whom}, {words} of its cable: by {rise}, {np.ptp(law.departure):.2g} "
+        f"in all (ln of the power). {IN_A}",
+        "remains": None,
+        "would_decide": None,
+        "amounts": None,
+        "similar_to": [],
+    }  # fmt: skip
+    return departure if structure is None else {"in_others": departure} | structure
 
 
 def _said(description: Description, report: StationReport) -> dict[str, Any]:

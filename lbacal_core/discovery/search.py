@@ -80,6 +80,8 @@ class StationReport:
         What was wrong with the record, which is put right in all else; and the model under the record as it was.
     rest
         The search of the other antennas, where structure in one was left and they have structure of their own.
+    departure
+        An antenna that departs from the others along frequency by a smooth law, where no name holds against it.
     """
 
     station: Station
@@ -104,6 +106,7 @@ class StationReport:
     said: Sequence[Hypothesis] = ()
     catalogue: Sequence[Cause] = CAUSES
     rest: StationReport | None = None
+    departure: AntennaScore | None = None
 
 
 def search_station(
@@ -184,11 +187,13 @@ def search_station(
     antenna_scores = compare_antennas(station, standing.baseline, targets, policy, seed, standing.hypotheses, changing)
     antenna_scores += compare_cable_names(standing.baseline, standing.linear, targets)
     antenna_scores.sort(key=lambda score: score.p_value)
+    likely = [score for score in antenna_scores if score.p_value < policy.alpha_of_each_comparison / stations]
     return StationReport(
         station=station,
         deaf=deaf,
         findings=findings,
-        antennas=[score for score in antenna_scores[:1] if score.p_value < policy.alpha_of_each_comparison / stations],
+        antennas=[score for score in likely if score.law is None][:1],
+        departure=None if any(score.law is None for score in likely) else next(iter(likely), None),
         structure=structure,
         similar=similar,
         scores=search.first_scores,
