@@ -216,14 +216,14 @@ def _antenna_finding(score: AntennaScore, report: StationReport) -> dict[str, An
         chance=(sigma_of(score.p_value), score.p_value),
         where=_where(report, score.target, score.parameters),
         gain=tell_gain(score.chi2_before, score.chi2_after, score.dof),
-        change=0.5 * score.size * (score.departure - score.departure.mean()),
+        change=np.zeros(1),  # the slopes of its paths have it, whatever its name
         sentence=_sentence(report, score.target, score.cause, (score.size, score.sigma), score.parameters),
         evidence={
             "score_sigma": score.z,
             "trials": score.trials,
             "target": score.target.label,
             "correlations": dict(score.similar),
-            "note": score.cause.note(score.parameters, score.size),
+            "note": f"{score.cause.note(score.parameters, score.size)} {IN_A}".strip(),
             "picture": picture_antenna(report, score),
         },
     )

@@ -225,6 +225,9 @@ def test_what_departs_by_a_smooth_law_is_said_and_not_explained(alike):
         "another slope along frequency than in the others of its cable: by +0.6 from"
         in content["unexplained"]["in_words"]
     )
+    as_named = replace(report, antennas=[replace(report.departure, law=None)], departure=None)
+    (named,) = describe_station(as_named).findings
+    assert named["calibration_change"] == {"max_fraction": 0.0, "median_fraction": 0.0}, "as an adoption says"
 
 
 SEEDS = 12
