@@ -337,7 +337,7 @@ as the weak prior of the fit is."""
 DRAWS, SEED = 64, 0
 DRAWS_AT_ONCE = 8
 """Draws whose templates are weighed together: eight share what a call costs, and more take more memory for nothing."""
-SCOUTS, ENOUGH, NARROWER, MOST_ROUNDS = 16, 3.0, 0.3, 5
+SCOUTS, ENOUGH, NARROWER, MOST_ROUNDS = 32, 6.0, 0.3, 5
 """Draws of which so many must count: with fewer, an effect that itself says how noise is shared is looked at more
 closely, so much at a time."""
 
