@@ -218,11 +218,19 @@ def _search(
 
 def _best_physical(model: LinearModel, scored: Sequence[ScoredSentence]) -> list[ScoredSentence]:
     """The best of each family whose size to first order is physical, the likeliest first."""
-    conditions, hypotheses = model.station.conditions, [one.hypothesis for one in scored]
-    is_physical = [
-        SENTENCE.is_physical(conditions, one.template, one.size, one.sigma, is_first_order=True) for one in hypotheses
-    ]
-    return best_of_families([one for one, possible in zip(scored, is_physical, strict=True) if possible])
+    possible = [one for one in scored if _is_physical_to_first_order(model.station.conditions, one.hypothesis)]
+    return best_of_families(possible)
+
+
+def _is_physical_to_first_order(conditions: Conditions, one: Hypothesis) -> bool:
+    """Whether a size to first order is physical, of some paths also where their chains took up nothing of the change.
+
+    Gains are of a path, noise constants of the station: what the converter of one antenna adds at night, as much as 7.5
+    times its noise, leaves them as they are.
+    """
+    forms = (True,) if one.target.has_all_antennas else (True, False)
+    own = conditions, one.template, one.size, one.sigma
+    return any(SENTENCE.is_physical(*own, is_first_order=form) for form in forms)
 
 
 def _count_events(conditions: Conditions, template: Template) -> float:

@@ -21,7 +21,7 @@ from lbacal_core.discovery.describe import (
     _without_idle,
     describe_structure,
 )
-from lbacal_core.discovery.hypothesis import list_targets
+from lbacal_core.discovery.hypothesis import Hypothesis, list_targets
 from lbacal_core.discovery.policy import Policy
 from lbacal_core.discovery.refit import fit_chain
 from lbacal_core.discovery.report import _said, investigate
@@ -215,6 +215,20 @@ def test_the_curve_of_a_large_change_is_that_of_the_change_and_not_of_its_logari
     shown = own.size * law_of(model.station.conditions, parts_of(own.template)[1])[0, 0]
     assert own.size == pytest.approx(0.9, abs=3 * own.uncertainty)
     np.testing.assert_allclose(shown[[0, -1]], [0.9, 0.2], atol=0.02)
+
+
+def test_noise_that_one_antenna_adds_may_be_many_times_that_of_the_converters_of_all(station):
+    """White noise behind one receiver, at night, of 7.5 times N_ADC was power in front along a curve of seven terms."""
+    targets = {one.label: one for one in list_targets(station)}
+    at_night = sentence("converter", ("flat",), ("night",))
+
+    def can_be(target, size):
+        hypothesis = Hypothesis(SENTENCE, at_night, targets[target], size, 0.01)
+        return describe._is_physical_to_first_order(station.conditions, hypothesis)
+
+    assert can_be("antenna 3", 7.5)
+    assert not can_be("station", 7.5), "noise constants are of the station, and would have taken up half of that"
+    assert not can_be("antenna 3", -2.5), "no noise is negative"
 
 
 @pytest.mark.long
