@@ -116,6 +116,8 @@ def _edge(away_mhz: Floats, width_mhz: float) -> Floats:
 
 CURVE, SERIES = "curve", "series"
 """The law and the course whose numbers are estimated all together, where no other describes the data as well."""
+CHANNELS = "channels"
+"""The law of interference: the frequency of each channel that it has, MHz, with its value there."""
 
 
 def _never(_: Conditions) -> list[tuple[()]]:
@@ -132,6 +134,14 @@ def _scaled(functions: Floats, numbers: Sequence[float]) -> Floats:
     """A sum of functions over its largest value."""
     values = np.asarray(numbers, dtype=float) @ functions
     return np.asarray(values / max(float(np.abs(values).max()), 1e-300))
+
+
+def channels_of(conditions: Conditions, at_mhz: Sequence[float]) -> Floats:
+    """1 in the channel nearest to each frequency, else 0, shape (frequency, freq); 0 outside the band."""
+    frequency = conditions.frequency_mhz
+    away = np.abs(frequency - np.asarray(at_mhz, dtype=float)[:, None])
+    width = np.abs(np.gradient(frequency))
+    return np.asarray((np.arange(frequency.size) == away.argmin(axis=1)[:, None]) & (away <= 0.5 * width + 1e-6), float)
 
 
 EDGE = 0.03
@@ -199,6 +209,12 @@ LAWS: dict[str, Kind] = {
         lambda c, *numbers: _scaled(_polynomials(c, len(numbers)), numbers),
         _never,
         "along a curve that is estimated",
+        "",
+    ),
+    CHANNELS: Kind(
+        lambda c, *numbers: np.asarray(numbers[1::2], dtype=float) @ channels_of(c, numbers[::2]),
+        _never,
+        "as interference in single channels, at {at_mhz} MHz",
         "",
     ),
 }
@@ -506,6 +522,14 @@ def law_of(conditions: Conditions, law: Form) -> Floats:
     """Values of a law, shape (class or 1, 1, freq)."""
     values = np.atleast_2d(LAWS[law[0]].values(conditions, *law[1:]))
     return np.asarray(values[:, None, :])
+
+
+def size_at_mhz(conditions: Conditions, template: Template) -> float | None:
+    """The frequency at which the size of a sentence holds; None where it holds at all, or as a curve of the chain."""
+    law = parts_of(template)[1]
+    if law[0] in ("flat", "resonance", "filter", "cable"):
+        return None
+    return float(conditions.frequency_mhz[int(np.argmax(law_of(conditions, law)[0, 0]))])
 
 
 def course_of(conditions: Conditions, course: Form) -> Floats:
@@ -826,6 +850,8 @@ class Sentence(Cause):
     ----------
     share_of_step
         Share of a step of the grid about which finer templates lie.
+    by_channel
+        Whether all of its templates are of one place, in single channels: they are then scored together.
     """
 
     identifier: str = "sentence"
@@ -835,6 +861,16 @@ class Sentence(Cause):
     scopes: Sequence[str] = SCOPES
     spectral_parameters: Sequence[str] = ("place", "law")
     share_of_step: float = 1.0
+    by_channel: bool = False
+
+    def factor(self, conditions: Conditions, template: Template) -> Floats | None:
+        """Its law, where its templates are of single channels, shape (freq,)."""
+        return law_of(conditions, parts_of(template)[1])[0, 0] if self.by_channel else None
+
+    def flat(self, template: Template) -> Template:
+        """The same alike at all frequencies."""
+        place, _, course = parts_of(template)
+        return sentence(place, ("flat",), course)
 
     def templates(self, conditions: Conditions) -> list[Template]:  # noqa: ARG002
         """None by itself: a scan of the catalogue does not try it."""
@@ -948,7 +984,10 @@ def _check(kinds: Mapping[str, Kind], form: Form) -> None:
     signature(kinds[name].values).bind(None, *numbers)
     if name in (*DATED, "ramp"):
         _unix(numbers[0])
-    if (name == SERIES and len(numbers) % 2 != 1) or (name in (SERIES, CURVE) and not any(numbers[1:])):
+    is_even = len(numbers) % 2 == 0
+    if (name == SERIES and is_even) or (name == CHANNELS and not (numbers and is_even)):
+        raise ValueError(numbers)
+    if name in (SERIES, CURVE, CHANNELS) and not any(numbers[1:]):
         raise ValueError(numbers)
     if name == "cycle" and not numbers[0] > 0.0:
         raise ValueError(numbers[0])
@@ -1015,7 +1054,14 @@ def _say(kinds: Mapping[str, Kind], form: Form) -> str:
         within = width * (SIDEREAL_DAY_S / DAY_S if clock == SIDEREAL else PERIODS_D[clock])
         said = f"{24.0 * within:.1f} h" if within < 1.0 else f"{within:.1f} d"
         return f"near {_time_of(clock, middle % 1.0)}, a Gaussian of {said}"
-    return kinds[name].words.format(*numbers)
+    at_mhz = _join_mhz(numbers[::2]) if name == CHANNELS else ""
+    return kinds[name].words.format(*numbers, at_mhz=at_mhz)
+
+
+def _join_mhz(at_mhz: Sequence[float]) -> str:
+    """Frequencies in words, MHz."""
+    *others, last = (f"{one:g}" for one in sorted(at_mhz))
+    return " and ".join([*([", ".join(others)] if others else []), last])
 
 
 _SINCE = "days since 1970-01-01 modulo {0:g}"
@@ -1037,6 +1083,8 @@ def _write(kinds: Mapping[str, Kind], form: Form) -> str:
         return f"{_write(kinds, form[1])} {_write(kinds, form[2])}"
     if form[0] == CURVE:
         return f"({_sum_of([f'P{k}(ln nu)' for k in range(len(form) - 1)], form[1:])})"
+    if form[0] == CHANNELS:
+        return f"({_sum_of([f'[{one:g} MHz]' for one in form[1::2]], form[2::2])})"
     if form[0] == SERIES:
         waves = [f"{kind} 2 pi {k + 1} {form[1]}" for k in range(len(form) // 2 - 1) for kind in ("cos", "sin")]
         return f"({_sum_of(waves, form[2:])})"

@@ -37,6 +37,7 @@ from lbacal_core.discovery.sentences import (
     refine_sentence,
     scatter_by_numbers,
     score_gated,
+    score_interference,
     score_sentences,
     vary_sentence,
     with_one_gate_less,
@@ -188,6 +189,7 @@ def _search(
     found = score_sentences(model, [whole], spectra, likely, choices)
     moving = [name for name in places_of(whole, conditions) if PLACES[name].moves]
     found += score_sentences(model, [whole], list(product(moving, rough_laws(conditions))), [("always",)], choices)
+    found += score_interference(model, whole, choices)
     single = _best_physical(model, found)
     found = list(single)
     for one in single[:KEPT]:

@@ -6,7 +6,7 @@ shares and the rest.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -135,6 +135,11 @@ LINE = 5.0
 """Standard deviations at which a channel of an event is cut: beyond are lines of interference, which noise has not."""
 ONE_SIGMA, IN_MOST = 0.683, 0.15
 """Quantile of a normal amount at one standard deviation, and the part of an excess variance that most events show."""
+FindStep = Callable[[Floats, Floats], tuple[float, Floats]]
+"""Finds the step in amounts beside those before, as `Station.find_step`."""
+IS_STEP, MOST_STEPS = 38.0, 4
+"""Chi^2 of the five numbers of a step that chance exceeds in 4 of 10^7, and the steps that are taken out: two are those
+of hours."""
 TYPICAL_EVENTS = 100
 """Spectra for which the typical covariance of a path counts in that of a cable name: 14 % of a variance."""
 WITHIN_S = 0.5 * 86400.0, 3 * 86400.0, 12 * 86400.0
@@ -291,7 +296,7 @@ def estimate_levels(
     whole, clean = mean, station.without_axes(mean, is_ordinary)
     kinds = list_kinds(station, clean.sum(axis=0) @ orthonormal(seen)[:MOST_VECTORS].T)
     mean = kinds.beside_rain(clean)
-    vectors = _choose_vectors(mean, seen, kinds.members, free_events / events)
+    vectors, mean = _choose_vectors(mean, seen, kinds.members, free_events / events, station.find_step)
     outside = max(channels - int(np.sum(np.any(vectors != 0, axis=1))), 1)
     used = events / free_events
     along = mean @ vectors.T
@@ -458,28 +463,58 @@ def _is_ordinary(mean: Floats, seeds: Floats) -> NDArray[np.bool_]:
     return ~is_heavy(mean.sum(axis=0) @ known[np.any(known != 0, axis=1)].T)
 
 
-def _choose_vectors(mean: Floats, seeds: Floats, kinds: Sequence[NDArray[np.int64]], share_free: float) -> Floats:
+def _choose_vectors(
+    mean: Floats, seeds: Floats, kinds: Sequence[NDArray[np.int64]], share_free: float, find_step: FindStep
+) -> tuple[Floats, Floats]:
     """The vectors along which events may share noise: the seeds, and one more where a kind of events has it.
 
     Such a vector must be in most events of the kind: what stands out in a few is no noise. Lines of interference are
-    cut: a few in one channel made a vector about it. The noise of a kind lies along the three strongest combinations.
+    cut: a few in one channel made a vector about it. What begins or ends is none either: channels with interference
+    since a date were a vector, which hid them. The noise of a kind lies along the three strongest combinations.
+
+    Returns
+    -------
+    The vectors, and the means less the steps that would have made one.
     """
     known = orthonormal(seeds)[:MOST_VECTORS]
+    first = found = _find_vector(mean, known, kinds, share_free)
+    left, steps = mean, np.empty((0, mean.shape[1]))
+    for _ in range(MOST_STEPS):
+        if found is None:
+            break
+        gain, step = find_step(found[1], steps)
+        if gain < IS_STEP * float(np.var(found[1][found[1] != 0.0])):
+            break
+        left, steps = left - step.T @ (step @ left), np.concatenate([steps, step])
+        found = _find_vector(left, known, kinds, share_free)
+    if first is None or found is None:
+        return known, left
+    return np.concatenate([known, first[0][None]]), mean
+
+
+def _find_vector(
+    mean: Floats, known: Floats, kinds: Sequence[NDArray[np.int64]], share_free: float
+) -> tuple[Floats, Floats] | None:
+    """The vector beside those known that stands out most, (freq,), with its amount in each event of its kind, (event,).
+
+    None where no vector stands out of the noise. Amounts are in standard deviations, and 0 in events of other kinds.
+    """
     rest = mean - mean @ known.T @ known
     outside = max(mean.shape[2] - len(known), 1)
     level = np.sqrt(np.maximum(np.mean(rest**2, axis=(1, 2)), SMALLEST_LEVEL**2) * mean.shape[2] / outside)
     pooled = np.sum(rest / level[:, None, None], axis=0) / len(mean) ** 0.5
     cut = np.clip(pooled, -LINE, LINE)
     cut -= cut @ known.T @ known
-    best, chosen = STANDS_OUT, known
+    best, chosen = STANDS_OUT, None
     for own in kinds:
         values, turned = np.linalg.eigh(cut[own].T @ cut[own])
-        amount = pooled[own] @ turned[:, -1]
-        of_most = float(np.quantile(np.abs(amount), ONE_SIGMA)) ** 2
+        amount = np.zeros(len(pooled))
+        amount[own] = pooled[own] @ turned[:, -1]
+        of_most = float(np.quantile(np.abs(amount[own]), ONE_SIGMA)) ** 2
         excess = beyond_noise(share_free * float(values[-1]), share_free * own.size, outside)
-        if excess > best and of_most - 1.0 > IN_MOST * (float(np.mean(amount**2)) - 1.0):
-            best, chosen = excess, np.concatenate([known, turned[:, -1:].T])
-    return np.asarray(chosen)
+        if excess > best and of_most - 1.0 > IN_MOST * (float(np.mean(amount[own] ** 2)) - 1.0):
+            best, chosen = excess, (turned[:, -1], amount)
+    return chosen
 
 
 def beyond_noise(largest: float, events: float, channels: float) -> float:

@@ -424,8 +424,11 @@ def score_in_means(
     """As `score_families` for all antennas, by the means of their paths alone, which hold almost all that they show."""
     found: list[tuple[Sequence[SpectralFamily], Floats, Floats]] = []
     for batch in batch_families(model.station.conditions, families, model.station.power[0].size):
-        shown = model.mean_of(FamilySpectra.of(model, batch).values, target.is_member)[:, None]
-        found.append((batch, *_score_alone(model.common, model.common.see(shown), batch[0].profiles)))
+        spectra = FamilySpectra.of(model, batch)
+        shown = model.mean_of(spectra.values, target.is_member)
+        rows = np.arange(shown.shape[1])
+        templates = spectra.in_view(model.common, shown, np.ones((1, rows.size)), rows)
+        found.append((batch, *_score_alone(model.common, templates, batch[0].profiles)))
     return found
 
 

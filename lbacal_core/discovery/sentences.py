@@ -6,12 +6,14 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, pairwise, product
+from math import comb
 from typing import Any
 
 import numpy as np
 
 from lbacal_core.causes.cause import Conditions, Template, spectral_signature
 from lbacal_core.causes.grammar import (
+    CHANNELS,
     COURSES,
     CURVE,
     LAWS,
@@ -20,6 +22,7 @@ from lbacal_core.causes.grammar import (
     SERIES,
     Form,
     Sentence,
+    channels_of,
     columns_of,
     course_of,
     law_of,
@@ -39,7 +42,7 @@ from lbacal_core.grids import Floats
 from lbacal_core.instrument.chain import ChainTerms
 from lbacal_core.linear import invert_symmetric
 
-SENTENCE = Sentence()
+SENTENCE, OF_CHANNELS = Sentence(), Sentence(by_channel=True)
 NOTICED_AT: Sequence[str] = ("sky", "antenna", "front", "receiver", "converter")
 NOTICED_BY = 5
 """Places, and the number of laws, by which sentences are noticed: a quarter of the cost of a scan of the catalogue."""
@@ -47,6 +50,10 @@ RIPPLED: Sequence[str] = ("front", "converter")
 """Places at which ripples are tried with all courses: they look alike at others."""
 OTHER_GATES: Sequence[str] = ("near", "sky")
 """Courses with which a product is tried beside those that are 0 or 1."""
+INTERFERES_AT, INTERFERES_WHEN = "antenna", ("step", "hours", "day", "night", "working days", "weekend")
+"""The place at which interference is told, and courses by which it is noticed."""
+MOST_CHANNELS, WORTH_JOINING = 20, 0.5
+"""Channels of one sentence; and the share of its description length that the best of them must gain by itself."""
 TRIED = 3
 """Sentences whose numbers are moved before one is held against a cause."""
 SHARES_OF_STEP = (1.0, 1.0, 0.5, 0.25)
@@ -91,7 +98,54 @@ def likeliest_sentences(
     conditions = model.station.conditions
     told = [place for place in places if place in places_of(target, conditions)]
     spectra = [*product(told, rough_laws(conditions)[:NOTICED_BY]), *list_ripples(conditions)]
-    return best_of_families(score_sentences(model, [target], spectra, list_courses(conditions), choices))[:TRIED]
+    found = score_sentences(model, [target], spectra, list_courses(conditions), choices)
+    return best_of_families([*found, *score_interference(model, target, choices)])[:TRIED]
+
+
+def score_interference(model: LinearModel, target: Target, choices: int = 1) -> list[ScoredSentence]:
+    """Power added in single channels with the course of each name that shows most, in the channels that follow it.
+
+    Interference has no negative power: all channels have more of it, or less, together.
+    """
+    conditions = model.station.conditions
+    laws = [(CHANNELS, float(one), 1.0) for one in conditions.frequency_mhz]
+    spectra = [(INTERFERES_AT, law) for law in laws]
+    courses = [one for one in list_courses(conditions) if one[0] in INTERFERES_WHEN]
+    single = score_sentences(model, [target], spectra, courses, choices, OF_CHANNELS)
+    found, length = list[ScoredSentence](), Lengths(conditions, choices)
+    for one in _best_by_course(single):
+        if one.gain < -WORTH_JOINING * one.length:
+            break
+        alike = score_sentences(model, [target], spectra, [parts_of(one.template)[2]], choices, OF_CHANNELS)
+        same = [other for other in alike if np.sign(other.size) == np.sign(one.size)]
+        order = sorted(same, key=lambda other: -(other.z**2))[:MOST_CHANNELS]
+        found.append(_join_channels(model, order, length))
+    return found
+
+
+def _with_values(at_mhz: Sequence[float], values: Sequence[float]) -> Form:
+    """The law of interference in channels."""
+    return (CHANNELS, *chain.from_iterable(zip(at_mhz, values, strict=False)))
+
+
+def _join_channels(model: LinearModel, order: Sequence[ScoredSentence], length: Lengths) -> ScoredSentence:
+    """Sentences of single channels as one of the first of them, as many as gain more than their description length."""
+    first, (place, _, course) = order[0], parts_of(order[0].template)
+    known = model.on_events(SENTENCE.known_events(model.station.conditions, first.template))
+    conditions, at = known.station.conditions, [parts_of(one.template)[1][1] for one in order]
+    shown = spectral_signature(SENTENCE, known.terms, conditions, sentence(place, ("flat",), ("always",)))
+    shown = shown * SENTENCE.time_profile(conditions, first.template)
+    score, information = known.products([shown * one for one in channels_of(conditions, at)], [first.target] * len(at))
+    best = first
+    for count in range(2, len(order) + 1):
+        size = invert_symmetric(information[:count, :count], share=1e-6) @ score[:count]
+        gain = max(float(size @ score[:count]), 1.0)
+        values, scale = _in_units(size, np.eye(count), is_signed=True)
+        law = _with_values(at, values)
+        whole = length.spectral(law, gain) + length.temporal(course, gain)
+        tried = ScoredSentence(sentence(place, law, course), first.target, gain**0.5, scale, whole)
+        best = tried if tried.gain > best.gain and min(values) > 0.0 else best
+    return best
 
 
 def list_ripples(conditions: Conditions) -> list[tuple[str, Form]]:
@@ -112,6 +166,7 @@ def score_sentences(
     spectra: Sequence[tuple[str, Form]],
     courses: Sequence[Form],
     choices: int = 1,
+    cause: Sentence = SENTENCE,
 ) -> list[ScoredSentence]:
     """The best course of each name for every place and law, with its target; of `choices` if that was chosen before."""
     conditions, found = model.station.conditions, list[ScoredSentence]()
@@ -123,7 +178,7 @@ def score_sentences(
     for by_name in by_events.values():
         alike = [one for own in by_name.values() for one in own]
         profiles = np.stack([course_of(conditions, one) for one in alike])
-        families = [SpectralFamily(SENTENCE, [sentence(*spectrum, alike[0])], profiles) for spectrum in spectra]
+        families = [SpectralFamily(cause, [sentence(*spectrum, alike[0])], profiles) for spectrum in spectra]
         known = model.on_events(families[0].known_events(conditions))
         of_course = np.array([length.temporal(one, 1.0) for one in alike])
         ends = np.cumsum([0, *(len(own) for own in by_name.values())]).tolist()
@@ -169,13 +224,16 @@ class Lengths:
     def __init__(self, conditions: Conditions, targets: int) -> None:
         self._laws = Counter(one[0] for one in list_laws(conditions))
         self._courses = Counter(one[0] for one in list_courses(conditions))
+        self._channels = conditions.frequency_mhz.size
         self._targets = targets
 
     def spectral(self, law: Form, gain: float) -> float:
         """Length of place, law and target of a sentence with a gain in chi^2."""
         alternatives = len(PLACES) * len(LAWS) * max(self._laws[law[0]], 1) * self._targets
-        estimated = (law[0] == CURVE) * (len(law) - 2) * np.log(max(gain, 1.0))
-        return float(2.0 * np.log(alternatives) + estimated)
+        numbers, chosen = (len(law) - 2) * (law[0] == CURVE), 0.0
+        if law[0] == CHANNELS:
+            numbers, chosen = len(law) // 2 - 1, float(np.log(comb(self._channels, len(law) // 2)))
+        return float(2.0 * (np.log(alternatives) + chosen) + numbers * np.log(max(gain, 1.0)))
 
     def temporal(self, course: Form, gain: float) -> float:
         """Length of a course of `causes.grammar`; a product is as long as both."""
@@ -183,6 +241,14 @@ class Lengths:
             return self.temporal(course[1], gain) + self.temporal(course[2], gain)
         estimated = (course[0] == SERIES) * (len(course) - 3) * np.log(max(gain, 1.0))
         return float(2.0 * np.log(len(COURSES) * max(self._courses[course[0]], 1)) + estimated)
+
+
+def _best_by_course(scored: Sequence[ScoredSentence]) -> list[ScoredSentence]:
+    """The few likeliest sentences of courses of different names, the likeliest first."""
+    best: dict[tuple[str, ...], ScoredSentence] = {}
+    for one in sorted(scored, key=lambda one: -one.gain):
+        best.setdefault(names_in(parts_of(one.template)[2]), one)
+    return list(best.values())[:TRIED]
 
 
 def best_of_families(scored: Sequence[ScoredSentence]) -> list[ScoredSentence]:
@@ -354,19 +420,23 @@ def move_numbers(model: LinearModel, terms: ChainTerms, one: Hypothesis) -> Hypo
         The chain of that fit, without the effect.
     """
     conditions, (place, law, course) = model.station.conditions, parts_of(one.template)
-    of_law = law[0] == CURVE
-    kinds = smooth_along_band(conditions) if of_law else smooth_in_time(conditions)
-    begin = law[:1] if of_law else course[:2]
-    functions = next((own for form, own, _ in kinds if form == begin), None)
-    if functions is None:
-        return None
-    numbers = np.array((law if of_law else course)[len(begin) :], dtype=float)
-    functions = functions[: numbers.size]
+    of_law = law[0] in (CURVE, CHANNELS)
+    if law[0] == CHANNELS:
+        functions, numbers = channels_of(conditions, law[1::2]), np.array(law[2::2], dtype=float)
+    else:
+        kinds = smooth_along_band(conditions) if of_law else smooth_in_time(conditions)
+        begin = law[:1] if of_law else course[:2]
+        known = next((own for form, own, _ in kinds if form == begin), None)
+        if known is None:
+            return None
+        numbers = np.array((law if of_law else course)[len(begin) :], dtype=float)
+        functions = known[: numbers.size]
     at = one.size * numbers / np.abs(numbers @ functions).max()
 
     def moved(values: Floats) -> Hypothesis:
         own, scale = _in_units(values, functions, is_signed=of_law)
-        parts = (place, (*begin, *own), course) if of_law else (place, law, (*begin, *own))
+        form = _with_values(law[1::2], own) if law[0] == CHANNELS else (*begin, *own)
+        parts = (place, form, course) if of_law else (place, law, form)
         return replace(one, template=sentence(*parts), size=scale)
 
     def power(values: Floats) -> Floats:

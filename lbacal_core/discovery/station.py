@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from lbacal_core.calibration.paths import Cables, require_one_cable_each
 from lbacal_core.calibration.singles import MIN_EVENTS
-from lbacal_core.causes.axes import list_axes
+from lbacal_core.causes.axes import harmonics, list_axes
 from lbacal_core.causes.cause import Conditions
 from lbacal_core.causes.sky import SkyRatio, sky_ratios
 from lbacal_core.data.tables import read_prior
 from lbacal_core.errors import BadInputError
-from lbacal_core.grids import Floats
+from lbacal_core.grids import DAY_S, Floats
 from lbacal_core.instrument.sidereal import local_sidereal_time, sun_position
 from lbacal_core.linear import pseudo_invert
 from lbacal_core.provenance import Remembered
@@ -30,6 +30,9 @@ from lbacal_core.spectra.spectra import Spectra
 
 STRUCTURE_SHARE, SMALLEST_PROFILE = 1 / 3, 1e-6
 """Most profiles in time that are no noise, as a share of the events; and the size of one that others contain."""
+
+SMALLEST_STEP = 0.5
+"""Prior of the numbers of a step: events in which it may differ from what varies smoothly, which say nothing of it."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +98,45 @@ class Station:
                 profiles.append(basis)
         found, sizes, _ = np.linalg.svd(np.concatenate(profiles).T, full_matrices=False)
         return np.asarray(found[:, sizes > SMALLEST_PROFILE * sizes[0]])
+
+    def find_step(self, amount: Floats, known: Floats) -> tuple[float, Floats]:
+        """The step that fits amounts best: at a date, an hour, a height of the Sun or a time of the week.
+
+        Power that is added varies along LST, relative to that of the sky: a step is a level and two harmonics.
+
+        Parameters
+        ----------
+        amount
+            Shape (event,), without what varies smoothly along any axis and without `known`.
+        known
+            Orthonormal profiles of the steps before, shape (profile, event).
+
+        Returns
+        -------
+        Its gain in chi^2 at a noise of 1, and its orthonormal profiles beside what varies smoothly, (profile, event).
+        """
+        conditions, smooth = self.conditions, np.concatenate([self.profiles_of_axes, known.T], axis=1)
+        functions = np.stack([np.ones_like(amount), *harmonics(conditions.lst_hours / 24.0, 2)], axis=1)
+        found = 0.0, functions[:, :0].T
+        week = conditions.time_unix % (7.0 * DAY_S)
+        for axis in (conditions.time_unix, conditions.utc_hours, conditions.sun_altitude, week):
+            if not np.all(np.isfinite(axis)):
+                continue
+            order = np.argsort(-axis, kind="stable")
+            own = functions[order]
+            score = np.cumsum(own * amount[order, None], axis=0)
+            shared = np.cumsum(own[:, :, None] * smooth[order, None], axis=0)
+            product = np.cumsum(own[:, :, None] * own[:, None], axis=0) - shared @ np.swapaxes(shared, 1, 2)
+            gain = np.sum(
+                score * np.linalg.solve(product + SMALLEST_STEP * np.eye(own.shape[1]), score[..., None])[..., 0],
+                axis=1,
+            )
+            best = int(np.argmax(gain))
+            if gain[best] > found[0]:
+                since = functions * (axis >= axis[order[best]])[:, None]
+                profiles, _, _ = np.linalg.svd(since - smooth @ (smooth.T @ since), full_matrices=False)
+                found = float(gain[best]), profiles.T
+        return found
 
     def without_axes(self, values: Floats, is_ordinary: NDArray[np.bool_]) -> Floats:
         """Values, shape (..., event, any), less what follows these profiles in the ordinary events, shape (event,).

@@ -10,6 +10,7 @@ import pytest
 from lbacal_core.causes.axes import list_axes
 from lbacal_core.causes.cause import Template, signature
 from lbacal_core.causes.grammar import (
+    CHANNELS,
     COURSES,
     CURVE,
     LAWS,
@@ -46,9 +47,9 @@ SENTENCE = Sentence()
 
 def test_every_kind_has_forms_with_values_words_and_an_equation(conditions):
     laws, courses = list_laws(conditions), list_courses(conditions)
-    assert {one[0] for one in laws} == set(LAWS) - {CURVE}, "a curve is estimated, not tried"
+    assert {one[0] for one in laws} == set(LAWS) - {CURVE, CHANNELS}, "their numbers are estimated, not tried"
     assert {one[0] for one in courses} == set(COURSES) - {SERIES}
-    laws.append((CURVE, 0.5, -0.3, 0.2))
+    laws += [(CURVE, 0.5, -0.3, 0.2), (CHANNELS, 38.0, 1.0, 51.0, 0.5)]
     courses += [(SERIES, clock, 0.5, -0.3, 0.2, 0.0) for clock in ("LST", "UTC", "year")]
     for law in laws:
         values = law_of(conditions, law)
@@ -65,6 +66,18 @@ def test_every_kind_has_forms_with_values_words_and_an_equation(conditions):
     ]:
         template = sentence(place, law, course)
         assert "{" not in in_words(template) + as_equation(template)
+
+
+def test_interference_is_in_the_channels_that_a_grid_has(conditions):
+    law = (CHANNELS, 38.0, 1.0, 51.2, 0.5, 95.0, 2.0)
+    shown = law_of(conditions, law)[0, 0]
+    assert dict(zip(conditions.frequency_mhz[shown != 0], shown[shown != 0], strict=True)) == {38.0: 1.0, 51.0: 0.5}
+    told = sentence("antenna", law[:5], ("step", "2014-07-20T06:02:43Z"))
+    require_sentence("a file", told.parameters)
+    assert "as interference in single channels, at 38 and 51.2 MHz, from 2014-07-20" in in_words(told)
+    for wrong in (("channels",), ("channels", 38.0), ("channels", 38.0, 0.0)):
+        with pytest.raises(BadInputError):
+            require_sentence("a file", sentence("antenna", wrong, ("always",)).parameters)
 
 
 def test_a_band_without_a_channel_is_no_course_and_one_that_is_told_is_refused(conditions):

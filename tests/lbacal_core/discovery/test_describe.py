@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from datetime import datetime
 
 import numpy as np
 import pytest
@@ -32,8 +33,10 @@ from lbacal_core.discovery.sentences import (
     ScoredSentence,
     estimate_sentence,
     likeliest_sentences,
+    refine_sentence,
     scatter_by_numbers,
     score_gated,
+    score_interference,
 )
 from lbacal_core.discovery.station import gather_stations
 from lbacal_core.foreign import write_instant
@@ -215,6 +218,25 @@ def test_the_curve_of_a_large_change_is_that_of_the_change_and_not_of_its_logari
     shown = own.size * law_of(model.station.conditions, parts_of(own.template)[1])[0, 0]
     assert own.size == pytest.approx(0.9, abs=3 * own.uncertainty)
     np.testing.assert_allclose(shown[[0, -1]], [0.9, 0.2], atol=0.02)
+
+
+@pytest.mark.parametrize(("of", "lines"), [("station", (38, 51, 66, 74)), ("antenna 3", (63, 64))])
+def test_interference_since_a_date_is_said_with_its_channels(of, lines, clean, simulation):
+    """It was noise of the receiver that changes as a ripple, of the wrong sign, in channels that have none."""
+    during = (clean.time_unix > 1406000000.0) & ((of == "station") | (clean.antenna == 3))  # 2014-07-22
+    added = 0.15 * clean.power.mean(axis=0) * np.isin(clean.frequency_mhz, lines)
+    model = fit_chain(gather_stations(replace(clean, power=clean.power + during[:, None] * added), simulation)[0])
+    target = next(one for one in list_targets(model.station) if one.label == of)
+    first = refine_sentence(model.linear, likeliest_sentences(model.linear, target)[0])
+    place, law, course = parts_of(first.template)
+    assert (place, law[0], sorted(law[1::2]), course[0]) == ("antenna", "channels", [*map(float, lines)], "step")
+    assert datetime.fromisoformat(course[1]).timestamp() == pytest.approx(1406000000.0, abs=3 * 86400.0)
+    assert first.size > 0.0
+
+
+def test_channels_of_noise_are_no_interference(model):
+    for target in list_targets(model.station)[-2:]:
+        assert all(one.gain < 0.0 for one in score_interference(model, target))
 
 
 def test_noise_that_one_antenna_adds_may_be_many_times_that_of_the_converters_of_all(station):

@@ -112,6 +112,24 @@ def test_what_follows_an_axis_is_structure_and_no_noise_that_events_share(statio
     assert np.trace(levels.common_sum[0]) < 2 * np.trace(still.common_sum[0]) + 1e-6
 
 
+@pytest.mark.parametrize("on", ["since", "between", "hours", "at random"])
+def test_interference_that_begins_or_ends_is_structure_and_what_comes_at_random_is_noise(station, noise, on):
+    """15 % in three channels since a date were a vector of the noise, and what was left of them a ripple."""
+    day = np.ptp(station.conditions.time_unix) * 0.5 + station.conditions.time_unix.min()
+    utc = station.conditions.utc_hours
+    amount = {
+        "since": station.conditions.time_unix > day,
+        "between": np.abs(station.conditions.time_unix - day) < 60 * 86400.0,
+        "hours": (utc > 6.0) & (utc < 15.0),
+        "at random": np.random.default_rng(4).exponential(1.0, utc.size),
+    }[on]
+    relative = 1.0 + 0.3 * np.cos(2.0 * np.pi * station.conditions.lst_hours / 24.0)
+    line = 0.15 * np.isin(np.arange(noise.shape[2]), (8, 21, 36)) * (amount * relative)[:, None]
+    flat = np.ones((1, noise.shape[2])) / noise.shape[2] ** 0.5
+    vectors = split_residuals(station, noise + line, flat).levels.vectors
+    assert len(vectors) == (2 if on == "at random" else 1)
+
+
 def test_what_most_events_share_is_noise_and_what_a_few_have_is_not(station, noise):
     rng = np.random.default_rng(6)
     shape, events = np.sin(9 * NU), noise.shape[1]
@@ -254,10 +272,14 @@ def test_lines_of_interference_make_no_vector_of_the_noise():
     line[[100, 500], 5] = 14.0
     tilt = rng.standard_normal((events, 1)) * np.cos(9 * np.linspace(-1, 1, channels)) / 5.0**0.5
     everyone = [np.arange(events)]
-    assert len(_choose_vectors(noise + line, seed, everyone, 1.0)) == 1
-    assert len(_choose_vectors(noise + tilt, seed, everyone, 1.0)) == 2
+
+    def choose(mean):
+        return _choose_vectors(mean, seed, everyone, 1.0, lambda amount, _: (0.0, amount[None]))[0]
+
+    assert len(choose(noise + line)) == 1
+    assert len(choose(noise + tilt)) == 2
     # Beside cut lines a vector that is not orthogonal to the others gave information below 0, and scores of 18 sigma.
-    chosen = _choose_vectors(noise + tilt + np.abs(line), seed, everyone, 1.0)
+    chosen = choose(noise + tilt + np.abs(line))
     np.testing.assert_allclose(chosen @ chosen.T, np.eye(2), atol=1e-12)
 
 
