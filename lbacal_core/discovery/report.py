@@ -16,7 +16,7 @@ from lbacal_core.audit.record import OF_RECORD, RecordError, put_right
 from lbacal_core.calibration.chain_form import FORM_OF_CHAIN, compare_forms
 from lbacal_core.causes.axes import describe_term
 from lbacal_core.causes.cause import Description as CauseTexts
-from lbacal_core.causes.grammar import PLACES, as_equation, in_words
+from lbacal_core.causes.grammar import PLACES, as_equation, axis_of, in_words, law_of, parts_of
 from lbacal_core.discovery.adopted import describe_size, fit_adopted
 from lbacal_core.discovery.antennas import AntennaScore
 from lbacal_core.discovery.describe import Described, Description
@@ -30,7 +30,7 @@ from lbacal_core.discovery.pictures import (
     picture_station,
 )
 from lbacal_core.discovery.policy import JUDGE, Policy
-from lbacal_core.discovery.residual_structure import ResidualStructure
+from lbacal_core.discovery.residual_structure import ResidualStructure, say_axis
 from lbacal_core.discovery.scan import Score
 from lbacal_core.discovery.search import StationReport, put_into_words, search_station
 from lbacal_core.discovery.station import Station, gather_stations, model_modes
@@ -383,19 +383,19 @@ def parameter_words(parameters: Mapping[str, Any]) -> list[str]:
 
 def _unexplained(structure: ResidualStructure, report: StationReport) -> dict[str, Any]:
     station, rest = report.station, report.rest
-    frequency, times = station.conditions.frequency_mhz, station.conditions.time_unix
-    strong = frequency[structure.channel_share > 0.5 * structure.channel_share.max()]
+    times = station.conditions.time_unix
+    axis, target, low, high = _place_of(structure, report)
     return {
         "p_value": structure.p_value,
         "where": {
             "station": station.name,
-            "axis": structure.axis_name,
-            "target": structure.target,
-            "frequency_mhz": [float(strong.min()), float(strong.max())],
+            "axis": axis,
+            "target": target,
+            "frequency_mhz": [low, high],
             "dates": [write_instant(float(times.min())), write_instant(float(times.max()))],
         },
-        "description": f"{structure.in_words} in {_place(structure, station.name)} that no cause "
-        f"of the catalogue explains, strongest at {strong.min():.0f}-{strong.max():.0f} MHz",
+        "description": f"{say_axis(axis)} in {_place(structure, target, station.name)} that no cause "
+        f"of the catalogue explains, strongest at {low:.0f}-{high:.0f} MHz",
         "gain": {
             "chi2": structure.gain,
             "terms": structure.dof,
@@ -437,6 +437,22 @@ def _left(report: StationReport) -> dict[str, Any] | None:
         "similar_to": [],
     }  # fmt: skip
     return departure if structure is None else {"in_others": departure} | structure
+
+
+def _place_of(structure: ResidualStructure, report: StationReport) -> tuple[str, str, float, float]:
+    """Axis, target, first and last frequency of structure: of the sentence that describes it, or where it is seen.
+
+    The axis is that along which it is most significant, unless it is seen in single events.
+    """
+    conditions, axis = report.station.conditions, structure.axis_name
+    target, share = structure.target, structure.channel_share
+    if report.description.sentences:
+        one = report.description.sentences[0].hypothesis
+        _, law, course = parts_of(one.template)
+        target, share = one.target.label, np.abs(law_of(conditions, law)).max(axis=(0, 1))
+        axis = axis_of(course) if structure.axis is None else axis
+    strong = conditions.frequency_mhz[share > 0.5 * share.max()]
+    return axis, target, float(strong.min()), float(strong.max())
 
 
 def _said(description: Description, report: StationReport) -> dict[str, Any]:
@@ -496,12 +512,12 @@ def _tell_sentence(one: Hypothesis, report: StationReport) -> str:
     return f"In {whom}, {in_words(one.template)}: {one.size:.3g} ± {one.uncertainty:.2g}."
 
 
-def _place(structure: ResidualStructure, station: str) -> str:
-    """Where structure is seen, in words."""
+def _place(structure: ResidualStructure, target: str, station: str) -> str:
+    """Where structure is, in words."""
     if structure.amounts:
         paths = f"{len(structure.amounts)} paths of {station} together"
-        return f"{paths}, each by its own amount and most in {structure.target},"
-    return f"{structure.target} of {station}"
+        return f"{paths}, each by its own amount and most in {target},"
+    return f"{target} of {station}"
 
 
 def _term(structure: ResidualStructure, report: StationReport) -> dict[str, Any] | None:

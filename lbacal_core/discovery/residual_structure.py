@@ -167,9 +167,12 @@ class ResidualStructure:
     @property
     def in_words(self) -> str:
         """Its axis in a sentence."""
-        return (
-            "structure of single events, along no axis," if self.axis is None else f"structure along {self.axis.name}"
-        )
+        return say_axis(self.axis_name)
+
+
+def say_axis(name: str) -> str:
+    """Structure along an axis, by its name in a report, in a sentence."""
+    return "structure of single events, along no axis," if name == EVENTS else f"structure along {name}"
 
 
 def find_structure(

@@ -5,8 +5,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from lbacal_core.causes.grammar import sentence
+from lbacal_core.discovery.describe import Described, Description
+from lbacal_core.discovery.hypothesis import Hypothesis, list_targets
 from lbacal_core.discovery.policy import Policy
-from lbacal_core.discovery.report import _steps_together, investigate
+from lbacal_core.discovery.report import _place_of, _steps_together, investigate
+from lbacal_core.discovery.sentences import SENTENCE
 from lbacal_core.errors import LbacalError
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.differences import model_difference_modes
@@ -37,6 +41,25 @@ def pair(two):
     """CS002 and CS003, a step of the gain of one antenna of the second."""
     step = GainStep(size=0.08, date="2014-07-01", where=Where(stations=("CS003",), antennas=(1,)))
     return ask(two, step)
+
+
+def said(station, law, course):
+    """A report that says a sentence of antenna 3."""
+    target = next(one for one in list_targets(station) if one.label == "antenna 3")
+    one = Hypothesis(SENTENCE, sentence("record", law, course), target, -0.2, 0.002)
+    return SimpleNamespace(station=station, description=Description([Described(one, 900.0, 30.0, 400.0)]))
+
+
+def test_structure_is_where_the_sentence_that_describes_it_says(station):
+    """The first line named dipole Y at 77-80 MHz, and the sentence below the antenna, alike at all frequencies."""
+    weakest = np.eye(station.conditions.frequency_mhz.size)[-1]
+    seen = SimpleNamespace(axis=None, axis_name="event", target="antenna 3 Y", channel_share=weakest)
+    report = said(station, ("flat",), ("night",))
+    assert _place_of(seen, report) == ("utc", "antenna 3", 30.0, 80.0)
+    report = said(station, ("channels", 38.0, 1.0, 66.0, 0.8), ("step", "2014-07-20T06:02:43Z"))
+    assert _place_of(seen, report) == ("date", "antenna 3", 38.0, 66.0)
+    report.description = Description()
+    assert _place_of(seen, report) == ("event", "antenna 3 Y", 80.0, 80.0)
 
 
 @pytest.mark.long
