@@ -16,7 +16,7 @@ from lbacal_core.audit.record import OF_RECORD, RecordError, put_right
 from lbacal_core.calibration.chain_form import FORM_OF_CHAIN, compare_forms
 from lbacal_core.causes.axes import describe_term
 from lbacal_core.causes.cause import Description as CauseTexts
-from lbacal_core.causes.grammar import PLACES, as_equation, axis_of, in_words, law_of, parts_of
+from lbacal_core.causes.grammar import PLACES, as_equation, axis_of, in_words, law_of, parts_of, size_at_mhz
 from lbacal_core.discovery.adopted import describe_size, fit_adopted
 from lbacal_core.discovery.antennas import AntennaScore
 from lbacal_core.discovery.describe import Described, Description
@@ -497,7 +497,12 @@ def _sentence_of(one: Described, report: StationReport, first: Described) -> dic
         "cause": cause.identifier,
         "parameters": plain_parameters(hypothesis.template.parameters),
         "target": hypothesis.target.label,
-        "size": {"value": size, "sigma": hypothesis.uncertainty, "unit": cause.unit},
+        "size": {
+            "value": size,
+            "sigma": hypothesis.uncertainty,
+            "unit": cause.unit,
+            "at_mhz": size_at_mhz(report.station.conditions, hypothesis.template),
+        },
         "log_odds": one.log_odds,
         "odds_to_first": float(np.exp(one.log_odds - first.log_odds)),
         "gain": {"chi2": one.gain, "held_out_log_likelihood_gain": one.held_out_gain},
@@ -509,7 +514,9 @@ def _sentence_of(one: Described, report: StationReport, first: Described) -> dic
 def _tell_sentence(one: Hypothesis, report: StationReport) -> str:
     """A sentence with whom it concerns and with its size."""
     whom = f"station {report.station.name}" + ("" if one.target.scope == "station" else f", {one.target.label}")
-    return f"In {whom}, {in_words(one.template)}: {one.size:.3g} ± {one.uncertainty:.2g}."
+    words, at_mhz = in_words(one.template), size_at_mhz(report.station.conditions, one.template)
+    at = "" if at_mhz is None or f"(size at {at_mhz:g} MHz)" in words else f" at {at_mhz:g} MHz"
+    return f"In {whom}, {words}: {one.size:.3g} ± {one.uncertainty:.2g}{at}."
 
 
 def _place(structure: ResidualStructure, target: str, station: str) -> str:

@@ -5,11 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lbacal_core.causes.grammar import sentence
+from lbacal_core.causes.grammar import law_of, sentence, size_at_mhz
 from lbacal_core.discovery.describe import Described, Description
 from lbacal_core.discovery.hypothesis import Hypothesis, list_targets
 from lbacal_core.discovery.policy import Policy
-from lbacal_core.discovery.report import _place_of, _steps_together, investigate
+from lbacal_core.discovery.report import _place_of, _steps_together, _tell_sentence, investigate
 from lbacal_core.discovery.sentences import SENTENCE
 from lbacal_core.errors import LbacalError
 from lbacal_core.simulation.simulation import Simulation
@@ -60,6 +60,28 @@ def test_structure_is_where_the_sentence_that_describes_it_says(station):
     assert _place_of(seen, report) == ("date", "antenna 3", 38.0, 66.0)
     report.description = Description()
     assert _place_of(seen, report) == ("event", "antenna 3 Y", 80.0, 80.0)
+
+
+@pytest.mark.parametrize(
+    ("law", "at"),
+    [
+        (("flat",), None),
+        (("power", -2.0, 30.0), 30.0),
+        (("curve", 0.5, -0.5), 30.0),
+        (("tilt",), 80.0),
+        (("channels", 38.0, 0.8, 66.0, 1.0), 66.0),
+        (("resonance",), None),
+    ],
+)
+def test_a_size_comes_with_the_frequency_at_which_it_holds(law, at, station):
+    """A gain that fell by 20 % at 30 MHz, by 10 at 55 and not at 80 was said to fall by 0.195 along a curve."""
+    report = said(station, law, ("always",))
+    (one,) = report.description.sentences
+    assert size_at_mhz(station.conditions, one.hypothesis.template) == at
+    words = _tell_sentence(one.hypothesis, report)
+    assert words.count(" at 30 MHz") + words.count(" at 66 MHz") + words.count(" at 80 MHz") == (at is not None)
+    if at is not None:
+        assert law_of(station.conditions, law)[0, 0][station.conditions.frequency_mhz == at] == pytest.approx(1.0)
 
 
 @pytest.mark.long
