@@ -310,7 +310,7 @@ class LinearModel:
     def open_noise(self) -> Floats:
         """Covariance of the noise constants of the mean path where the sky is open, mean of the polarisations, (k, k).
 
-        Of a path's own fit, whose sky is given, it is no part: a sky with more brightness everywhere is noise to that.
+        The fit of a path has none of it, as its sky is given: more brightness everywhere is noise to that.
         """
         slope, constants = self._mean_free_vectors
         count = len(constants)
