@@ -18,7 +18,7 @@ from lbacal_core.data.tables import read_prior
 from lbacal_core.errors import BadInputError
 from lbacal_core.grids import DAY_S, Floats
 from lbacal_core.instrument.sidereal import local_sidereal_time, sun_position
-from lbacal_core.linear import pseudo_invert
+from lbacal_core.linear import pseudo_invert, solve_symmetric
 from lbacal_core.provenance import Remembered
 from lbacal_core.simulation.simulation import Simulation
 from lbacal_core.sky.differences import ModelDifferences, Waves, waves_at
@@ -127,10 +127,8 @@ class Station:
             score = np.cumsum(own * amount[order, None], axis=0)
             shared = np.cumsum(own[:, :, None] * smooth[order, None], axis=0)
             product = np.cumsum(own[:, :, None] * own[:, None], axis=0) - shared @ np.swapaxes(shared, 1, 2)
-            gain = np.sum(
-                score * np.linalg.solve(product + SMALLEST_STEP * np.eye(own.shape[1]), score[..., None])[..., 0],
-                axis=1,
-            )
+            size = solve_symmetric(product + SMALLEST_STEP * np.eye(own.shape[1]), score[..., None])[..., 0]
+            gain = np.sum(score * size, axis=1)
             best = int(np.argmax(gain))
             if gain[best] > found[0]:
                 since = functions * (axis >= axis[order[best]])[:, None]

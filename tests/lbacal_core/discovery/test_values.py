@@ -203,21 +203,23 @@ def test_a_sentence_that_was_fitted_and_lost_has_the_odds_of_its_fit(monkeypatch
     monkeypatch.setattr(search, "_score_sentences", lambda *_: likely)
     monkeypatch.setattr(search, "_name", lambda *_: [candidate("lst_offset", 500.0)])
     monkeypatch.setattr(search, "_say", lambda *_: (candidate("sentence", 502.0), likely))
-    (named,) = search.propose(SimpleNamespace(linear=None))
+    (named,) = search.propose(SimpleNamespace(linear=None, hypotheses=[]))
     assert named.score.cause.identifier == "lst_offset"
     assert [(one.cause, one.delta_chi2) for one in named.rivals] == [("sentence", -2.0)]
     assert [one.template.parameters.get("k") for one in named.sentences] == [None, 573.0]  # 560 is 18 behind
     # A resonance stood with odds of 3e+37 to 1 against it, of a sentence that no size fits.
     monkeypatch.setattr(search, "_say", lambda *_: (None, []))
-    (named,) = search.propose(SimpleNamespace(linear=None))
+    (named,) = search.propose(SimpleNamespace(linear=None, hypotheses=[]))
     assert named.rivals == []
     # A cause that a sentence beats by far does not take the place of one that unseen events refuse.
     weak = candidate("gain_drift", 480.0)
     monkeypatch.setattr(search, "_name", lambda *_: [candidate("lst_offset", 600.0), weak])
     monkeypatch.setattr(search, "_say", lambda *_: (None, likely))
-    assert [one.score.cause.identifier for one in search.propose(SimpleNamespace(linear=None))] == ["lst_offset"]
+    assert [one.score.cause.identifier for one in search.propose(SimpleNamespace(linear=None, hypotheses=[]))] == [
+        "lst_offset"
+    ]
     # Nor does one that the refused cause beats by far: bursts of noise were a resonance that moves.
     monkeypatch.setattr(search, "_say", lambda *_: (None, likely[3:]))
-    assert len(search.propose(SimpleNamespace(linear=None))) == 1
+    assert len(search.propose(SimpleNamespace(linear=None, hypotheses=[]))) == 1
     monkeypatch.setattr(search, "_name", lambda *_: [candidate("lst_offset", 600.0), candidate("gain_drift", 596.0)])
-    assert len(search.propose(SimpleNamespace(linear=None))) == 2
+    assert len(search.propose(SimpleNamespace(linear=None, hypotheses=[]))) == 2
