@@ -27,7 +27,7 @@ What `lbacal` claims of itself, and what was found. `./dev prove NAME` runs a pr
 The interval of a figure decides ([how](explanation/how-discovery-is-proven.md#when-a-claim-is-shown)). **Shown**: all
 of it is within what is asked. **Refuted**: none is. **Undecided**: it reaches over the limit. n counts independent
 trials and, in brackets, how often seeds were entered in the [ledger](../validation/ledger.jsonl), whatever became of
-them. A record is *old* where the finder says of the [frozen data sets](../validation/frozen) something else than then.
+them. A record is old (†) where the finder says of the [frozen data sets](../validation/frozen) something else since.
 The rows are main claims.
 """
 TABLE = ("| claim | asked | found (interval) | n | verdict | proof |", "|" + "---|" * 6)
@@ -107,7 +107,7 @@ def _row(claim: Claim, record: Record, history: Sequence[Record], entries: Seque
     verdict += tell_change(claim, record, history)
     blocks = sum((one.proof, one.part) == (record.proof, record.part) for one in entries)
     proof = f"`{record.proof if record.part == record.proof else f'{record.proof} {record.part}'}`"
-    n, where = f"{claim.n} ({blocks})", proof if record.holds else f"{proof}, old"
+    n, where = f"{claim.n} ({blocks})", proof if record.holds else f"{proof}†"
     return f"| {claim.asked.says} | {claim.words_asked} | {claim.words_found} | {n} | {verdict} | {where} |"
 
 

@@ -44,7 +44,7 @@ def test_the_page_has_about_25_rows() -> None:
 def test_a_headline_is_a_row_and_what_is_refuted_is_said_below_even_of_details() -> None:
     refuted = claim("station_mean", "It is named", 0.3, (0.2, 0.4))
     page = page_of(record(SHOWN, refuted, claim("antenna_mean", "A detail", 0.9, (0.8, 0.95))))
-    row = "| It is found | >= 50 % | 99 % (94.6 to 99.8) | 100 (2) | shown | `twin nuisances`, old |"
+    row = "| It is found | >= 50 % | 99 % (94.6 to 99.8) | 100 (2) | shown | `twin nuisances`† |"
     assert row in page
     assert "| A detail |" not in page
     assert "- twin-nuisances: **refuted** It is named (asked >= 50 %" in page.partition("## What is not shown")[2]
