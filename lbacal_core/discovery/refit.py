@@ -270,8 +270,8 @@ def _has_run_away(station: Station, baseline: Baseline, hypotheses: Sequence[Hyp
     """
     terms = act_together(station, baseline.terms, hypotheses)
     share = (terms.sky * terms.front / terms.power()).mean(axis=(1, 2))
-    is_last = float(np.std(mean_of_paths(station, baseline.residual))) < LARGEST_CHANGE
-    return not (is_last and bool(np.all(share > 0)))
+    is_near = float(np.std(mean_of_paths(station, baseline.residual))) < LARGEST_CHANGE
+    return not (is_near and bool(np.all(share > 0)))
 
 
 def can_be_told_apart(information: Floats) -> bool:
